@@ -225,7 +225,8 @@ class Check(ABC):
 
     Attributes of the class, or of an instance where no ClassVar: `name` (as in the entry point), `slot`, `layer`; `period_s` how often it runs between
     the passes (None: at each pass only); `deadline_s` after which it is overdue; `failures` how many runs
-    in a row must be bad before it is reported. A user may override the last three in the configuration.
+    in a row must be bad before it is reported. A user may override these three in the configuration. `blocking`: False if `run`
+    never waits and reads no file: it only evaluates what PHM has in memory. Such checks share a thread.
     """
 
     name: ClassVar[str]
@@ -234,10 +235,11 @@ class Check(ABC):
     period_s: float | None = None
     deadline_s: float = 10.0
     failures: int = 1
+    blocking: bool = True
 
     @classmethod
     def build(cls, settings: Settings) -> Iterable[Check]:
-        """The instances for this configuration; each gets a thread. Default: one.
+        """The instances for this configuration. Default: one.
 
         settings: all of the configuration, because a check may need any section of it.
         """

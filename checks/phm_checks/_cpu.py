@@ -48,20 +48,21 @@ class Cpu:
 
     def judge(self, fact: api.HostFact, now: float, world: api.World) -> api.Result:
         """Evaluate one reading, see `_judge`; the result's readings also contain the mean."""
-        mean = self._mean_of(fact, now)
-        result = self._judge(fact, mean, now, world)
+        use = fact.cpu_percent
+        if use is None:
+            return api.stale("CPU usage is not measured yet: it needs two readings.")
+        mean = self._mean_of(use, now)
+        high = use >= self._limits.cpu.warn
+        result = self._judge(fact, use, mean, now, world)
         if not result.level.bad:
-            result = result.with_evidence(api.Evidence(rising=self._above(fact)))
-        elif fact.cpu_percent < self._limits.cpu.warn:
+            # Whether this reading alone would be a fault of the quick detection.
+            waits = fact.waiting_percent is not None and fact.waiting_percent >= WAITING_PERCENT
+            result = result.with_evidence(api.Evidence(rising=waits and high))
+        elif not high:
             result = result.with_evidence(api.Evidence(falling=True))
         return replace(result, readings=api.HostReadings(cpu_percent=mean))
 
-    def _above(self, fact: api.HostFact) -> bool:
-        """Whether this reading alone would be a fault of the quick detection."""
-        waits = fact.waiting_percent is not None and fact.waiting_percent >= WAITING_PERCENT
-        return waits and fact.cpu_percent >= self._limits.cpu.warn
-
-    def _judge(self, fact: api.HostFact, mean: float, now: float, world: api.World) -> api.Result:
+    def _judge(self, fact: api.HostFact, use: float, mean: float, now: float, world: api.World) -> api.Result:
         """Evaluate the mean of the readings in the window; report high use once the window is full, or by the quick detection."""
         window_s = self._limits.cpu_window
         values: dict[str, api.Value] = {
@@ -71,11 +72,11 @@ class Cpu:
         if fact.waiting_percent is not None:
             values["cpu_waiting_percent"] = round(fact.waiting_percent, 1)
         # Finding the top CPU consumer takes two queries, so the first is made before there is something to report.
-        self._taken = top_consumer(world) if fact.cpu_percent >= self._limits.cpu.warn else None
+        self._taken = top_consumer(world) if use >= self._limits.cpu.warn else None
         full = now - self._readings[0][0] >= window_s
         # Before that the state must not change: a busy start would lower the limits of the mean.
         level = (self._mean if full else Threshold(self._limits.cpu.warn, self._limits.cpu.error)).level(mean)
-        quick = self._quick_level(fact, now, world)
+        quick = self._quick_level(use, fact.waiting_percent, now, world)
         if quick is not None and (not full or quick[0] is Level.ERROR or level is Level.OK):
             return self._bad(quick[0], quick[1], 100.0, values)
         if level is Level.OK:
@@ -86,10 +87,10 @@ class Cpu:
         words = f"CPU at {mean:.0f} % over {span(window_s)}, expected below {self._limits.cpu.warn:g} %"
         return self._bad(level, words, mean, values)
 
-    def _mean_of(self, fact: api.HostFact, now: float) -> float:
+    def _mean_of(self, use: float, now: float) -> float:
         """The mean CPU use in percent over the window, including this reading."""
         window_s = self._limits.cpu_window
-        self._readings.append((now, fact.cpu_percent))
+        self._readings.append((now, use))
         # Keep one reading from before the window: it shows that the window is full.
         while len(self._readings) > 1 and self._readings[1][0] <= now - window_s:
             self._readings.popleft()
@@ -103,10 +104,10 @@ class Cpu:
 
     # ------------------------------------------------------------ quick detection
 
-    def _quick_level(self, fact: api.HostFact, now: float, world: api.World) -> tuple[Level, str] | None:
+    def _quick_level(self, use: float, waiting: float | None, now: float, world: api.World) -> tuple[Level, str] | None:
         """Level and text of a fault; None if the quick detection has nothing to report."""
         self._first = now if self._first is None else self._first
-        seen = self._pressed(fact, now)
+        seen = self._pressed(use, waiting, now)
         if seen is not None and (self._quick_fault is not None or not self._starting(now, world)):
             level = max(seen[0], self._quick_fault[1], key=_rank) if self._quick_fault is not None else seen[0]
             # Not `now`: on a busy machine the engine may have taken seconds to answer whether a container is starting.
@@ -115,12 +116,12 @@ class Cpu:
             self._quick_fault = None
         return self._quick_fault[1:] if self._quick_fault is not None else None
 
-    def _pressed(self, fact: api.HostFact, now: float) -> tuple[Level, str] | None:
+    def _pressed(self, use: float, waits: float | None, now: float) -> tuple[Level, str] | None:
         """Evaluate the quick window: a fault if CPU use was never below the limit and tasks waited for a core."""
         window_s = self._limits.cpu_quick
-        if fact.waiting_percent is None or window_s == 0:
+        if waits is None or window_s == 0:
             return None
-        self._quick.append((now, fact.cpu_percent, fact.waiting_percent))
+        self._quick.append((now, use, waits))
         while len(self._quick) > 1 and self._quick[1][0] <= now - window_s:
             self._quick.popleft()
         inside = [reading for reading in self._quick if reading[0] > now - window_s]

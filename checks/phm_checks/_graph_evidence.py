@@ -61,6 +61,9 @@ class GraphEvidence:
         self._listed_by_this_child = False
         self._gone_since: float | None = None
         self._had_ends = False
+        self._never_named: dict[tuple[str, str], int] = {}
+        """How many endpoints had no node name while the node's own were there, by topic and side: those of programs without a ROS
+        node, such as PX4's agent, never get one."""
         self._bare_since: float | None = None
         self._twice_since: float | None = None
         self.appeared_at = float("-inf")
@@ -155,6 +158,7 @@ class GraphEvidence:
         seen = (fact.topics.get(topic, api.TopicFact()) for topic in self._ends.topics)
         if any(end.node == self._node for topic in seen for end in (*topic.publishers, *topic.subscribers)):
             self._had_ends, self._bare_since = True, None
+            self._never_named = self._nameless(fact)
             return Evidence(Kind.ENDPOINTS, Observation.ALIVE, "its endpoints are there", fact.age_s)
         if not self.count or not self._had_ends:
             self._had_ends, self._bare_since = False, None
@@ -201,9 +205,15 @@ class GraphEvidence:
         return Evidence(Kind.NAME, Observation.GONE, "it is not in the graph", fact.age_s, now - self._gone_since)
 
     def _unnamed(self, fact: api.RosFact) -> bool:
-        """Whether an endpoint of its topics has no node name: it may be this node's own, whose name only PHM has lost."""
-        seen = (fact.topics.get(topic, api.TopicFact()) for topic in self._ends.topics)
-        return any(not end.node for topic in seen for end in (*topic.publishers, *topic.subscribers))
+        """Whether an endpoint of its topics has lost its node name: it may be this node's own, whose name only PHM has lost."""
+        return any(count > self._never_named.get(side, 0) for side, count in self._nameless(fact).items())
+
+    def _nameless(self, fact: api.RosFact) -> dict[tuple[str, str], int]:
+        """How many endpoints of its topics have no node name, by topic and side."""
+        seen = {topic: fact.topics.get(topic, api.TopicFact()) for topic in self._ends.topics}
+        sides = {(name, "out"): topic.publishers for name, topic in seen.items()}
+        sides |= {(name, "in"): topic.subscribers for name, topic in seen.items()}
+        return {side: sum(not end.node for end in ends) for side, ends in sides.items()}
 
 
 def _as_others_receive_it(report: api.Reception) -> Evidence:

@@ -33,6 +33,7 @@ class PressureDelta:
     io: float | None = None
     faults_hz: float | None = None
     oom_kills: int = 0
+    memory_limit_hits: int | None = None
     refused: int = 0
 
 
@@ -85,7 +86,7 @@ def _spent(old: api.PressureFact, new: api.PressureFact, seconds: float) -> Pres
     used_s = _risen(old.cpu_used_s, new.cpu_used_s)
     faults = _risen(old.reread_pages, new.reread_pages)
     memory, io = _share(old.memory, new.memory, seconds), _share(old.io, new.io, seconds)
-    limited = new.memory_limit is not None
+    limited, hits = new.memory_limit is not None, _risen(old.memory_limit_hits, new.memory_limit_hits)
     return PressureDelta(
         seconds,
         cpus=None if used_s is None else used_s / seconds,
@@ -97,6 +98,7 @@ def _spent(old: api.PressureFact, new: api.PressureFact, seconds: float) -> Pres
         io=io,
         faults_hz=None if faults is None else faults / seconds,
         oom_kills=int(_risen(old.oom_kills, new.oom_kills) or 0),
+        memory_limit_hits=None if hits is None else int(hits),
         refused=int(_risen(old.pids_refused, new.pids_refused) or 0),
     )
 

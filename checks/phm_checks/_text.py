@@ -7,7 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from phm import api
+
 UNNAMED = "(unnamed)"
+NAMED = 3
+"""Maximum number of subjects in a brief about several."""
 BRIEF_MAX = 38
 """Maximum length of `Result.brief` in characters: what a STATUSTEXT leaves besides agent, word and slot."""
 
@@ -26,6 +30,26 @@ def brief(subject: str, words: str = "") -> str:
     if len(name) > room:
         name = f"..{name[len(name) - max(room, 2) + 2 :]}" if room > 2 else ""
     return f"{name} {tail}".strip()[:BRIEF_MAX]
+
+
+def combined(findings: Sequence[api.Result]) -> str:
+    """One brief for several findings: `A03 A05 lost` if the same is wrong with up to NAMED subjects, else the first of the worst and the
+    number of the others: `A03 lost (+4)`.
+
+    PHM sends a changed brief to the ground, so that each further failure of a unit is reported. Findings that are less bad than the
+    first one do not count.
+    """
+    first = api.worst(findings)
+    briefs = [finding.brief for finding in findings if finding.level is first.level]
+    if len(briefs) < 2 or not first.brief:
+        return first.brief
+    names = [text.partition(" ")[0] for text in briefs]
+    words = {text.partition(" ")[2] for text in briefs}
+    together = f"{' '.join(names)} {min(words)}"
+    if len(words) == 1 and len(set(names)) == len(names) <= NAMED and len(together) <= BRIEF_MAX:
+        return together
+    more = f" (+{len(briefs) - 1})"  # not `+1` alone, which a refresh line has for further units
+    return f"{first.brief[: BRIEF_MAX - len(more)].rstrip()}{more}"
 
 
 def last(name: str) -> str:

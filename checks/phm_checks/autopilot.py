@@ -38,6 +38,7 @@ class Autopilot(api.Check):
 
     name, slot, layer = "autopilot", Slot.AUTOPILOT, Layer.LINK
     period_s = 1.0
+    blocking = False
 
     def __init__(self, settings: api.Settings) -> None:
         self._settings = settings
@@ -67,7 +68,8 @@ class Autopilot(api.Check):
     def run(self, world: api.World) -> api.Result:
         fact, limits = world.links.autopilot(), self._settings.mavlink
         if fact is None and not limits.autopilot:
-            return api.bypass("no autopilot heartbeat received, and none is expected (mavlink.autopilot)")
+            words = "no autopilot heartbeat received, and none is expected (mavlink.autopilot)"
+            return api.bypass(words).with_evidence(api.Evidence(unobserved=True))
         if fact is not None and reboots_on_command(fact):
             return self._awaited(fact)
         if (fact is None or fact.overdue or fact.silent_s > limits.autopilot_timeout) and all_closed(

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from phm import api
 from phm.api import Layer, Slot
-from phm_checks._text import brief, clean, joined, listed, span
+from phm_checks._text import brief, clean, combined, joined, listed, span
 
 REPORT_S = 12.0
 """An interruption is over when it is detected. It is reported for so long that one refresh of the status, every 10 s,
@@ -32,7 +32,7 @@ class Companion(api.Check):
             return api.ok("Companion Computer is running aboard agent", values=values)
         first = api.worst(bad)
         summary = joined([finding.summary for finding in bad])
-        return api.Result(first.level, summary, first.brief, first.condition, values=values)
+        return api.Result(first.level, summary, combined(bad), first.condition, values=values)
 
     @staticmethod
     def _own(facts: api.SelfFact) -> list[api.Result]:

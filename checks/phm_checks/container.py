@@ -47,6 +47,9 @@ and no one can recreate the container."""
 UNREPORTED_S = 10.0
 """How long an engine that reports a container as running, although its processes have ended, counts as late. Usually it reports the end
 within 0.1 s, on a busy machine within a second."""
+UNSTARTED_S = 60.0
+"""How long a container that was created may wait for its start. Only a person or a tool creates one, and `docker compose up` starts it
+when its networks are connected and the health checks of what it depends on have passed, so a start by PHM would come too early."""
 _SHOWN = {
     api.CgroupState.FROZEN: "is paused: its cgroup is frozen",
     api.CgroupState.EMPTY: "has ended: its cgroup has no process",
@@ -78,6 +81,8 @@ class Container(PerContainer):
         """The engine's last answer, and the result."""
         self._ended_at: float | None = None
         """When its cgroup first showed that it has ended (monotonic seconds), while the engine reports it as running."""
+        self._unstarted: tuple[str, float] | None = None
+        """Id of the container that waits for its first start, and since when it has been seen so (monotonic seconds)."""
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
@@ -112,13 +117,14 @@ class Container(PerContainer):
         if state is None or state is api.CgroupState.RUNNING:
             return None
         frozen = state is api.CgroupState.FROZEN
+        settle_s = UNNOTICED_S if state is api.CgroupState.EMPTY else WITHOUT_ENGINE_S
         if before.level is api.Level.ERROR and not fact.running and (fact.status == "paused") is frozen:
             found = before
+            settle_s = max(settle_s, before.settle_s or 0.0)
         else:
             words = f"{self.key} {_SHOWN[state]}. Why is unknown, and it cannot be recovered, until the Docker Engine responds: {clean(reason)}"
             found = self._bad("frozen", words, "paused") if frozen else self._bad("ended", words, "ended")
         seen = api.Evidence(certain=True, conclusive=True)  # of no generation: it may have been replaced
-        settle_s = UNNOTICED_S if state is api.CgroupState.EMPTY else WITHOUT_ENGINE_S
         return replace(found, settle_s=settle_s, evidence=seen)
 
     def _not_reported(self, fact: api.ContainerFact | None, world: api.World) -> api.Result | None:
@@ -146,9 +152,25 @@ class Container(PerContainer):
         self._restarts.observe(fact, now_s)
         self._trend.observe(fact, now_s)
         values: dict[str, api.Value] = {"restart_count": fact.restart_count}
+        if self._waits_for_start(fact, now_s):
+            words = (
+                f"{self.key} was created and has not been started yet; PHM gives its creator {span(UNSTARTED_S)} for that. "
+                f"`docker start {fact.name}` starts it"
+            )
+            # Published only where a fault is open already: else it is known as `created` by then.
+            return replace(self._bad("not_started", words, "not started yet", values), settle_s=UNSTARTED_S)
         if fact.running:
             return self._running(fact, {"pid": fact.pid, **values}, more_often=self._trend.rising(now_s))
         return self._stopped(fact, {"exit_code": fact.exit_code, **values})
+
+    def _waits_for_start(self, fact: api.ContainerFact, now_s: float) -> bool:
+        """Whether it was created so lately that who created it may still start it. The engine keeps the error of a start that failed."""
+        if fact.status != "created" or fact.error:
+            self._unstarted = None
+            return False
+        if self._unstarted is None or self._unstarted[0] != fact.id:
+            self._unstarted = (fact.id, now_s)
+        return now_s - self._unstarted[1] < UNSTARTED_S
 
     def _running(self, fact: api.ContainerFact, values: dict[str, api.Value], *, more_often: bool) -> api.Result:
         starts = self._restarts

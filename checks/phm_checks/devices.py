@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from phm import api
 from phm.api import Slot
 from phm_checks._per_container import PerContainer
-from phm_checks._text import brief, clean, joined, last, listed
+from phm_checks._text import brief, clean, combined, joined, last, listed
 
 _SERIAL_MAJORS = frozenset({166, 188, 204})
 """ttyACM, ttyUSB and the UARTs of ARM boards, from the kernel's devices.txt; ttyS is 4 from minor 64 on."""
@@ -76,7 +76,7 @@ class Devices(PerContainer):
             count = "1 device" if len(findings) == 1 else f"{len(findings)} devices"
             return api.ok(f"Found {count} in container {self.key}: {said}", values=values)
         summary = joined([finding.summary for finding in findings if finding.level is not api.Level.OK])
-        return api.Result(first.level, summary, first.brief, first.condition, first.target, values)
+        return api.Result(first.level, summary, combined(findings), first.condition, first.target, values)
 
     def _container(self, world: api.World) -> tuple[api.ContainerFact | None, str]:
         """The container, or None and why its mapping cannot be checked."""

@@ -113,8 +113,8 @@ class Diagnostics(api.Check):
         )
 
     def _judge(self, world: api.World, item: Watched, fact: api.RosFact) -> api.Result:
-        matching = {name: said for name, said in fact.diagnostics.items() if self._patterns[item.unit].fullmatch(name)}
-        evaluated = [_evaluated(name, said, item.entry) for name, said in sorted(matching.items())]
+        names = sorted(name for name in fact.diagnostics if self._patterns[item.unit].fullmatch(name))
+        evaluated = [_evaluated(name, said, item.entry) for name in names for said in _sources(fact, name)]
         healthy = bool(evaluated) and all(one.level is Level.OK for one in evaluated)
         began_s = self._container_began(world, item.container, healthy)
         # A status received before the container restarted need not come again.
@@ -171,6 +171,11 @@ def _publisher(name: str, settings: api.Settings) -> str:
         n for n in nodes if last(n) == before
     ]
     return found[0] if len(found) == 1 else ""
+
+
+def _sources(fact: api.RosFact, name: str) -> Sequence[api.DiagnosticFact]:
+    """The newest status of each publisher that uses this name."""
+    return fact.diagnostic_sources.get(name, (fact.diagnostics[name],))
 
 
 def _evaluated(name: str, said: api.DiagnosticFact, entry: api.WatchedDiagnosticSettings) -> EvaluatedStatus:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from phm import api
 from phm.api import Slot
 from phm_checks._per_container import PerContainer
-from phm_checks._text import brief, clean, joined, last, listed
+from phm_checks._text import brief, clean, combined, joined, last, listed
 
 SETTLE_S = 0.2
 """Programs that replace a file often remove the old one first; the check runs on each change in a volume."""
@@ -51,7 +51,7 @@ class Files(PerContainer):
             paths = listed(wanted.path for wanted in self.entry.files)
             return api.ok(f"File check passed: {paths}", values=values)
         summary = joined([finding.summary for finding in findings if finding.level is not api.Level.OK])
-        return replace(first, summary=summary, values=values)
+        return replace(first, summary=summary, brief=combined(findings), values=values)
 
     def _judge(self, world: api.World, wanted: api.FileSettings) -> api.Result:
         where = f"{wanted.path} in {self.key}"

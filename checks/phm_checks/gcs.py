@@ -25,6 +25,7 @@ class Gcs(api.Check):
 
     name, slot, layer = "gcs", Slot.COMPANION, Layer.LINK
     period_s = 1.0
+    blocking = False
 
     def __init__(self, settings: api.Settings) -> None:
         self._settings = settings
@@ -53,7 +54,8 @@ class Gcs(api.Check):
     def run(self, world: api.World) -> api.Result:
         fact, limit_s = world.links.gcs(), self._settings.mavlink.gcs_timeout
         if fact is None:
-            return api.bypass("no ground station heartbeat received yet", values={"gcs_age_s": None})
+            found = api.bypass("no ground station heartbeat received yet", values={"gcs_age_s": None})
+            return found.with_evidence(api.Evidence(unobserved=True))
         if fact.left:
             return api.bypass("the last ground station has announced its end", values={"gcs_age_s": None})
         values: dict[str, api.Value] = {

@@ -10,13 +10,16 @@ from phm.api import Layer, Level, Slot
 from phm_checks._cpu import Cpu
 from phm_checks._host_pressure import HostPressure
 from phm_checks._limit_forecast import LimitForecast
-from phm_checks._text import StableNumber, brief, clean, joined, listed, span
+from phm_checks._recent_throttling import RecentThrottling
+from phm_checks._text import StableNumber, brief, clean, combined, joined, listed, span
 from phm_checks._threshold import Threshold
 
 __all__ = ["STEP_REPORT_S", "Host", "Threshold"]
 
 STEP_REPORT_S = 30.0
 """A clock jump shows in one reading; it is reported for this long so that operators see it."""
+THROTTLE_REPORT_S = 30.0
+"""The same for short throttling, e.g. by an under-voltage when motors start."""
 SUSPECTS = ("memory", "disk")
 """A full disk or exhausted memory can be, but need not be, the cause of any other fault."""
 
@@ -36,6 +39,7 @@ class Host(api.Check):
         self._filling: dict[str, LimitForecast] = {}
         self._growing = LimitForecast(self._trends.memory, self._trends.confidence)
         self._heat = Threshold(limits.temperature_warn, limits.temperature_error)
+        self._throttling = RecentThrottling(THROTTLE_REPORT_S)
         self._step: tuple[float, float] | None = None
         self._window_s = settings.pressure.host_window
         self._memory_stalls = HostPressure(settings.pressure.host_memory, self._window_s)
@@ -64,7 +68,7 @@ class Host(api.Check):
             "host/io": self._judge_io(fact, now),
             "host/disk": _with(self._judge_disks(fact, now), api.HostReadings(disks=disks)),
             "host/temperature": _with(
-                self._judge_temperature(fact),
+                self._judge_temperature(fact, now),
                 api.HostReadings(temperature_c=fact.temperature_c, fans_rpm=tuple(fact.fans_rpm)),
             ),
             "host/clock": self._judge_clock(fact, now),
@@ -102,7 +106,8 @@ class Host(api.Check):
         if not findings:
             return api.ok(f"Memory at {used:.0f} %", values=values).with_evidence(rising)
         first = api.worst(findings).with_evidence(rising)
-        return replace(first, summary=joined([finding.summary for finding in findings]), values=values)
+        summary = joined([finding.summary for finding in findings])
+        return replace(first, summary=summary, brief=combined(findings), values=values)
 
     def _judge_memory_stalls(self, fact: api.HostFact, now: float) -> api.Result | None:
         level, mean = self._memory_stalls.judge(fact.memory_stalled_percent, now)
@@ -118,6 +123,8 @@ class Host(api.Check):
 
     def _judge_io(self, fact: api.HostFact, now: float) -> api.Result:
         level, mean = self._io_stalls.judge(fact.io_stalled_percent, now)
+        if fact.cpu_percent is None:
+            return api.stale("How long tasks wait for disks is not measured yet: shares need two readings.")
         if fact.io_stalled_percent is None:
             return api.bypass(
                 "This kernel does not count how long tasks wait for its disks (psi=1 on its command line)."
@@ -147,7 +154,7 @@ class Host(api.Check):
         if first.level is Level.OK:
             return api.ok(joined([finding.summary for finding in findings]), values=values)
         summary = joined([finding.summary for finding in findings if finding.level is not Level.OK])
-        return api.Result(first.level, summary, first.brief, first.condition, first.target, values)
+        return api.Result(first.level, summary, combined(findings), first.condition, first.target, values)
 
     def _judge_disk(self, disk: api.DiskFact, now: float) -> api.Result:
         path = clean(disk.path, 80)
@@ -183,8 +190,9 @@ class Host(api.Check):
         target = f"disk:{disk.path}" if self._limits.free_disk else ""
         return api.Result(level, words, short, "disk_full", target, values)
 
-    def _judge_temperature(self, fact: api.HostFact) -> api.Result:
+    def _judge_temperature(self, fact: api.HostFact, at: float) -> api.Result:
         """Temperature and throttling: both slow the CPU down."""
+        recent = self._throttling.observe(fact.throttled, at)
         fans: dict[str, api.Value] = {f"fan_rpm {number}": rpm for number, rpm in enumerate(fact.fans_rpm)}
         if fact.temperature_c is None and fact.throttled is None:
             return api.bypass("This machine does not report its temperature.", values=fans)
@@ -201,16 +209,14 @@ class Host(api.Check):
                 )
                 short = f"CPU {self._steady.show('heat', fact.temperature_c):.0f} C"
                 findings.append(self._bad(level, words, short, "temperature_high", values))
-        now = [word for word in fact.throttled or () if word.endswith(" now")]
-        if now:
-            words = f"the CPU is throttled: {listed(now)}: check the power supply, its cable, and cooling"
-            findings.append(self._bad(Level.WARN, words, now[0], "throttled", values))
+        if recent:
+            findings.append(self._bad(Level.WARN, _throttled(fact, recent), recent[0], "throttled", values))
         if findings:
             first = api.worst(findings)
             summary = joined([finding.summary for finding in findings])
-            return api.Result(first.level, summary, first.brief, first.condition, values=values)
+            return api.Result(first.level, summary, combined(findings), first.condition, values=values)
         heat = "Temperature not reported" if fact.temperature_c is None else f"Temperature {fact.temperature_c:.0f} C"
-        earlier = f", earlier: {listed(fact.throttled)}" if fact.throttled else ""
+        earlier = f", {listed(fact.throttled)}" if fact.throttled else ""
         return api.ok(f"{heat}{earlier}", values=values)
 
     def _judge_clock(self, fact: api.HostFact, now: float) -> api.Result:
@@ -238,6 +244,16 @@ class Host(api.Check):
     @staticmethod
     def _bad(level: Level, words: str, short: str, condition: str, values: Mapping[str, api.Value]) -> api.Result:
         return api.Result(level, words, brief(short), condition, values=values)
+
+
+def _throttled(fact: api.HostFact, recent: Sequence[str]) -> str:
+    live = [reason for reason in recent if f"{reason} now" in (fact.throttled or ())]
+    when = [
+        f"{reason} now" if reason in live else f"{reason} in the last {span(THROTTLE_REPORT_S)}" for reason in recent
+    ]
+    return (
+        f"the CPU {'is' if live else 'was'} throttled: {listed(when)}: check the power supply, its cable, and cooling"
+    )
 
 
 def _with(result: api.Result, readings: api.HostReadings) -> api.Result:

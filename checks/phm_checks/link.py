@@ -19,7 +19,7 @@ from phm_checks._command_path import (
     target_of,
     ways,
 )
-from phm_checks._text import StableNumber, brief, clean, joined, last, listed, span
+from phm_checks._text import StableNumber, brief, clean, combined, joined, last, listed, span
 
 SETTLE_S = 2.0
 """A port or connection that reopens within this time is not reported: a USB autopilot disappears briefly when it reboots."""
@@ -31,7 +31,10 @@ SILENT_S = 3.0
 """A router with several recent senders forwards at least their heartbeats, one per second each."""
 TOGETHER_S = 3.0
 UNDECODABLE_S = 20.0
-"""Bytes per second without one valid frame: the data are not MAVLink at this baud rate."""
+"""Bytes per second without valid frames: the data are not MAVLink at this baud rate."""
+VALID_SHARE = 0.5
+"""Where PHM can compute no checksum, frames must be at least this part of the bytes, and more than the false starts: any bytes
+contain a few frames by chance."""
 LINE_ERRORS_S = 1.0
 EASE = 0.7
 MOST_SENDERS = 8
@@ -94,7 +97,7 @@ class Link(api.Check):
             return api.ok(f"MAVLink endpoint {clean(link.name, 80)} is open{_traffic(link)}", values=values)
         first = api.worst(findings)
         words = joined([finding.summary for finding in findings])
-        return api.Result(first.level, words, first.brief, first.condition, first.target, values)
+        return api.Result(first.level, words, combined(findings), first.condition, first.target, values)
 
     # ------------------------------------------------------------ closed
 
@@ -201,7 +204,7 @@ class Link(api.Check):
         return self._open_since is not None and world.clock.mono() - self._open_since < SILENT_S
 
     def _undecodable(self, link: api.LinkFact) -> list[api.Result]:
-        if link.rx_s is None or link.rx_s < UNDECODABLE_S or link.frames_s:
+        if link.rx_s is None or link.rx_s < UNDECODABLE_S or _decodable(link, link.rx_s):
             return []
         hint = f"its speed ({self.entry.baud} baud) and wiring" if self.entry.serial else "which program sends there"
         return [
@@ -252,6 +255,14 @@ class Link(api.Check):
             return self._settings.agent.id, 1
         gcs = world.links.gcs()
         return (gcs.system, gcs.component) if gcs is not None else (0, 0)
+
+
+def _decodable(link: api.LinkFact, rx_s: float) -> bool:
+    """Whether MAVLink is received; a link may carry only messages whose definition PHM does not have."""
+    if link.verified_s or not link.frames_s:
+        return bool(link.frames_s)
+    enough = link.frame_bytes_s is None or link.frame_bytes_s >= VALID_SHARE * rx_s
+    return enough and (link.bad_s is None or link.bad_s < link.frames_s)
 
 
 def _devices_of(entry: api.EndpointSettings, settings: api.Settings) -> str:

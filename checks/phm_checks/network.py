@@ -10,7 +10,7 @@ from phm.api import Slot
 from phm_checks._data_path import DataPath
 from phm_checks._environment_advice import advice
 from phm_checks._per_container import PerContainer
-from phm_checks._text import brief, clean, joined, listed
+from phm_checks._text import brief, clean, combined, joined, listed
 
 _BY_CAUSE = ("network_missing", "no_network", "disconnected", "sidecar_disconnected", "address_silent")
 """Causes before consequences: the first of these found is the condition of the unit."""
@@ -30,6 +30,10 @@ class Network(PerContainer):
         self._data_path = DataPath(self.key, settings)
         self._attached: set[tuple[str, str]] = set()
         """Run of the container, and id of a network on which it was found in that run."""
+        self._reached: set[str] = set()
+        """Names of networks on which its address has responded to PHM."""
+        self._not_checked: set[str] = set()
+        """Names of networks on which its address was not checked when they were last looked at."""
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
@@ -57,16 +61,22 @@ class Network(PerContainer):
         findings = [self._judge(world, fact, name) for name in self.entry.networks]
         bad = sorted(
             (finding for finding in findings if finding.level.bad),
-            key=lambda finding: _BY_CAUSE.index(finding.condition),
+            # Of silent addresses, one that has responded before is first: only for that one PHM acts.
+            key=lambda finding: (_BY_CAUSE.index(finding.condition), finding.evidence.never_ok is None),
         )
         values: dict[str, api.Value] = {"networks": len(findings), "networks_bad": len(bad)}
         if bad:
             summary = joined([finding.summary for finding in bad])
             first = bad[0]
             return api.Result(
-                first.level, summary, first.brief, first.condition, self.key, values, evidence=first.evidence
+                first.level, summary, combined(bad), first.condition, self.key, values, evidence=first.evidence
             )
         return self._blocked(world, fact) or api.ok(joined([finding.summary for finding in findings]), values=values)
+
+    @property
+    def _responds(self) -> bool:
+        """Whether an address was checked, in a run in which no network is bad."""
+        return self.entry.address and not self._not_checked.issuperset(self.entry.networks)
 
     def _blocked(self, world: api.World, fact: api.ContainerFact) -> api.Result | None:
         """The result when the networks are correct, but no data from the nodes arrive; None when they do."""
@@ -74,7 +84,7 @@ class Network(PerContainer):
         if not why and (absent := self._data_path.absent(world)):
             step = advice(world, self.key, "check ROS_DOMAIN_ID, firewalls and discovery between PHM and it")
             return self._bad(
-                f"{self.key} is connected{' and responds' if self.entry.address else ''}, but {absent}: {step}; PHM restarts nothing for this",
+                f"{self.key} is connected{' and responds' if self._responds else ''}, but {absent}: {step}; PHM restarts nothing for this",
                 "nodes unreachable",
                 "nodes_unreachable",
             )
@@ -92,12 +102,12 @@ class Network(PerContainer):
             "namespace are removed by a restart of the application, others are not"
         )
         found = self._bad(
-            f"{self.key} is connected{' and responds' if self.entry.address else ''}; discovery works but no data arrives: {why}. {cause}",
+            f"{self.key} is connected{' and responds' if self._responds else ''}; discovery works but no data arrives: {why}. {cause}",
             "transport blocked",
             "transport_blocked",
         )
         # Without an address check the fault may be on PHM's side of the network: no recovery target.
-        target = found.target if self.entry.address else ""
+        target = found.target if self._responds else ""
         return replace(found, evidence=api.Evidence(never_ok=never), target=target)
 
     def _mode(self, fact: api.ContainerFact) -> api.Result | None:
@@ -146,10 +156,15 @@ class Network(PerContainer):
         return self._sidecar(world, attached, name, network_id)
 
     def _sidecar(self, world: api.World, attached: api.Attachment, name: str, network_id: str) -> api.Result:
-        """PHM and the container can reach each other. On the host's network PHM reaches every bridge network."""
+        """PHM and the container can reach each other.
+
+        On the host's network PHM reaches bridge networks. Linux passes nothing between an interface and its macvlan children; other
+        drivers may do the same.
+        """
         me = world.docker.own_container()
-        beside = me is None or me.network_mode == "host" or any(one.network_id == network_id for one in me.networks)
-        if not beside:
+        beside = me is not None and any(one.network_id == network_id for one in me.networks)
+        on_host = me is None or me.network_mode == "host"
+        if not (beside or on_host):
             shared = me is not None and me.network_mode.startswith("container:")
             connect = "the container whose network PHM shares" if shared else "PHM's container"
             return self._bad(
@@ -166,15 +181,26 @@ class Network(PerContainer):
                 f"no address on {name}",
                 "disconnected",
             )
+        driver = "" if beside else world.docker.network_driver(name)
+        self._not_checked.discard(name)
+        if not beside and driver != "bridge":
+            self._not_checked.add(name)
+            return api.ok(
+                f"{self.key} is connected to {name}; its address there is not checked, because PHM is not on this network "
+                f"and cannot rely on reaching one of driver {clean(driver, 40) or 'unknown'}"
+            )
         # A single lost echo is not a fault, so a silent address is tried twice.
         if world.docker.reachable(attached.address) or world.docker.reachable(attached.address):
+            self._reached.add(name)
             return api.ok(f"{self.key} is connected to {name} and responds at {attached.address}")
-        return self._bad(
+        silent = self._bad(
             f"{self.key} is connected to {name}, but {attached.address} did not respond to two pings, expected an immediate response: "
             "its interface may be down, or a firewall may drop its traffic",
             f"unreachable on {name}",
             "address_silent",
         )
+        # Without this the published state decides: PHM may have been restarted since it responded.
+        return silent.with_evidence(api.Evidence(never_ok=False if name in self._reached else None))
 
     def _bad(self, words: str, short: str, condition: str, subject: str | None = None) -> api.Result:
         named = self.key if subject is None else subject

@@ -35,6 +35,7 @@ class NodeReady(api.Check):
 
     name, slot, layer = "node_ready", Slot.NODES, Layer.ROS
     period_s = 1.0
+    blocking = False
 
     def __init__(self, settings: api.Settings) -> None:
         self._settings = settings

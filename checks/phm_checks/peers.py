@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from phm import api
 from phm.api import Layer, Level, Slot
-from phm_checks._text import brief, joined, span
+from phm_checks._text import brief, combined, joined, span
 
 GRACE_S = 30.0
 """Agents are switched on one after another: a missing agent is not reported so soon after PHM's start."""
@@ -21,6 +21,7 @@ class Peers(api.Check):
 
     name, slot, layer = "peers", Slot.PEERS, Layer.LINK
     period_s = 1.0
+    blocking = False
 
     def __init__(self, agents: Sequence[int]) -> None:
         self._agents = tuple(agents)
@@ -63,11 +64,12 @@ class Peers(api.Check):
         if found:
             first = api.worst(found)
             words = joined([result.summary for result in found])
-            return api.Result(first.level, words, first.brief, first.condition, values=values, evidence=first.evidence)
-        if not fact.peers:
-            return api.bypass(
-                "no heartbeat from another agent received, and none is configured (swarm.agents)", values=values
+            return api.Result(
+                first.level, words, combined(found), first.condition, values=values, evidence=first.evidence
             )
+        if not fact.peers:
+            words = "no heartbeat from another agent received, and none is configured (swarm.agents)"
+            return api.bypass(words, values=values).with_evidence(api.Evidence(unobserved=True))
         return api.ok(f"{fact.living} of {fact.members} agents of the swarm are alive", values=values)
 
     def _split(self, fact: api.SwarmFact) -> list[api.Result]:

@@ -12,7 +12,7 @@ from phm_checks._growing_process import GrowingProcess
 from phm_checks._limit_forecast import LimitForecast
 from phm_checks._per_container import PerContainer
 from phm_checks._pressure_window import PressureDelta, PressureWindow
-from phm_checks._text import StableNumber, brief, joined
+from phm_checks._text import StableNumber, brief, combined, joined
 from phm_checks._window_threshold import WindowThreshold
 
 NEWEST_S = 0.9
@@ -49,7 +49,7 @@ class Pressure(PerContainer):
         self._memory = WindowThreshold(limits.memory.warn, limits.memory.error)
         self._faults = WindowThreshold(limits.memory_faults.warn, limits.memory_faults.error)
         self._io = WindowThreshold(limits.io.warn, limits.io.error)
-        self._killed: tuple[float, int] | None = None
+        self._killed: tuple[float, int, bool] | None = None
         self._steady = StableNumber(share=0.1)
 
     @classmethod
@@ -106,7 +106,8 @@ class Pressure(PerContainer):
             )
             return result.with_evidence(api.Evidence(rising=self._above(newest)))
         first = api.worst(findings)
-        return replace(first, summary=joined([finding.summary for finding in findings]), values=values)
+        summary = joined([finding.summary for finding in findings])
+        return replace(first, summary=summary, brief=combined(findings), values=values)
 
     def _above(self, newest: PressureDelta) -> bool:
         """Whether the newest second alone is above a limit."""
@@ -136,13 +137,14 @@ class Pressure(PerContainer):
         self, fact: api.PressureFact, over: PressureDelta, newest: PressureDelta, now: float
     ) -> api.Result | None:
         if newest.oom_kills:
-            self._killed = now, newest.oom_kills
+            # Over the whole window: a hit may be counted just before a reading, and its kill just after. None: not counted.
+            self._killed = now, newest.oom_kills, over.memory_limit_hits != 0
         levels = (
             self._memory.level(over.shortage, newest.shortage),
             self._faults.level(over.faults_hz, newest.faults_hz),
         )
         if self._killed is not None and now - self._killed[0] < KILL_REPORT_S:
-            return replace(self._killed_for_memory(fact, self._killed[1]), settle_s=KILL_SETTLE_S)
+            return replace(self._killed_for_memory(fact, *self._killed[1:]), settle_s=KILL_SETTLE_S)
         level = max(levels)
         if level is Level.OK:
             return None
@@ -163,13 +165,17 @@ class Pressure(PerContainer):
         )
         return self._bad(level, words, f"memory limit {_size(limit)} too small", "memory_pressure")
 
-    def _killed_for_memory(self, fact: api.PressureFact, count: int) -> api.Result:
-        """The kernel counts kills at the container's own limit and for lack of memory in the computer together."""
+    def _killed_for_memory(self, fact: api.PressureFact, count: int, at_limit: bool) -> api.Result:
+        """The kernel counts kills at the container's own limit and for lack of memory in the computer together.
+
+        at_limit: whether the container reached its own limit, if it has one.
+        """
         limit = fact.memory_limit
-        if limit is None:
+        if limit is None or not at_limit:
             words = (
                 f"the computer ran out of memory, and the kernel killed {count} of the processes of {self.key}: find what uses "
-                "most with `docker stats`, and give it a limit (`mem_limit:`)"
+                "most with `docker stats`, and give it a limit (`mem_limit:`); a memory limit of its `cgroup_parent` has the "
+                "same effect"
             )
             return self._bad(Level.ERROR, words, "killed, no memory left", "memory_pressure")
         words = (

@@ -8,7 +8,7 @@ from phm import api
 from phm.api import Layer, Slot
 from phm_checks._command_path import link_id, link_of, named, radio_id, silent, starting, target_of, with_radio
 from phm_checks._limit_forecast import LimitForecast
-from phm_checks._text import StableNumber, brief, joined, span
+from phm_checks._text import StableNumber, brief, combined, joined, span
 
 PERIODS = 2.5
 """A radio is silent after this many of its own periods: SiK responds to PHM's heartbeats, which may be 10 s apart."""
@@ -27,6 +27,7 @@ class Radio(api.Check):
 
     name, slot, layer = "radio", Slot.RADIO, Layer.LINK
     period_s = 1.0
+    blocking = False
 
     def __init__(self, entry: api.EndpointSettings, settings: api.Settings) -> None:
         self.entry, self._limits = entry, settings.mavlink
@@ -61,7 +62,8 @@ class Radio(api.Check):
         if link is not None and not link.open:
             return api.stale(f"radio state unknown: its link {self.entry.key} is closed")
         if fact is None and self.entry.radio != "required":
-            return api.bypass(f"no RADIO_STATUS received on {self.entry.key}, and no radio is required")
+            words = f"no RADIO_STATUS received on {self.entry.key}, and no radio is required"
+            return api.bypass(words).with_evidence(api.Evidence(unobserved=True))
         if fact is None and starting(world):
             return api.stale(f"no RADIO_STATUS received on {self.entry.key} yet")
         limit_s = self._limits.radio_timeout if fact is None else max(self._limits.radio_timeout, PERIODS * fact.due_s)
@@ -97,7 +99,7 @@ class Radio(api.Check):
             return api.ok(f"last RADIO_STATUS {span(fact.age_s)} ago{_margin_words(fact)}{alone}", values=values)
         first = findings[0]
         words = joined([finding.summary for finding in findings])
-        return api.warn(words, brief=first.brief, condition=first.condition, values=values)
+        return api.warn(words, brief=combined(findings), condition=first.condition, values=values)
 
     def _weak(self, fact: api.RadioFact) -> list[api.Result]:
         limit = self._limits.radio_margin + (EASE_MARGIN if "radio_weak" in self._was else 0.0)

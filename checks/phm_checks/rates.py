@@ -16,9 +16,10 @@ from phm_checks._text import StableNumber, brief, clean, last, span
 CONFIRM_S = 0.9
 """A rate must be wrong in two measurements, made once a second, before it is reported."""
 SETTLE_S = 2.0
-"""A topic may fall silent so much earlier than its node is known to be dead."""
+"""A topic may fall silent so much earlier than its node is known to be dead. `phm.probes.ros.rates.silence` relies on it."""
 GAP_PERIODS = 5
-"""A topic is not reported as silent before this many periods, even if its node is known to be alive."""
+"""A topic whose node is known to be alive is not reported as silent before this many periods, or SETTLE_S after its limit if
+that is sooner."""
 LARGE_BPS = 0.8e6
 """Topics with more bytes per second are sampled with pauses (`phm.probes.ros.rates.topic_monitor`), so the time at which
 one fell silent is not known."""
@@ -245,8 +246,9 @@ class Rates(api.Check):
     def _blocked(self, target: str, seen: api.TopicFact, fact: api.RosFact) -> str:
         """Evidence that publishers are discovered but their data do not arrive; empty when the cause may be different."""
         nodes = _nodes(seen)
-        if nodes == {""}:
-            # Node names arrive as data, publishers are found by discovery.
+        received = any(one.rate is not None and one.rate.silent_s is not None for one in fact.topics.values())
+        if nodes == {""} and not fact.nodes and not received:
+            # Node names arrive as data, publishers are found by discovery. Where other data arrive, it is a program without a ROS node.
             return "A publisher is discovered, but neither its node name nor a sample was received"
         silent = self._silent_nodes(target, fact)
         if len(silent) < WITNESSES or not silent & nodes:

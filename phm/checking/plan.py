@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from phm.api import Check
-from phm.checking.scheduler import ScheduledCheck
+from phm.checking.check_turns import ScheduledCheck
 from phm.core.dependency_graph import DependencyGraph
 from phm.core.settings import CheckSettings, Settings
 from phm.tracker import TrackedUnit, all_needs, graph_of

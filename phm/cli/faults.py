@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping, Sequence
+from itertools import chain, islice
+from pathlib import Path
 from typing import Any
 
 import click
@@ -36,14 +39,17 @@ def command(
     """List open and recent faults, or show one with its timeline.
 
     FAULT is an id, as the list shows it. Works without the daemon, too, from its log alone.
-    Exit code 0; 1: the fault is unknown, or there is no log.
+    Exit code 0; 1: the fault is unknown, or there is no log, or nothing in it can be read.
     """
     directory = log_dir or load_settings(config).log.directory
     opened, running = _open_now(run_dir)
-    if not json_log.files(directory) and not running:
+    files = _files(directory)
+    if not files and not running:
         click.echo(f"no phm.jsonl in {directory}: PHM has not run here, or logs elsewhere (see --log-dir)", err=True)
         ctx.exit(1)
-    found = fault_timeline.build_timelines(json_log.read(directory), opened if running else None)
+    found, unread = _timelines(directory, files, opened if running else None)
+    if unread and not running:
+        ctx.exit(1)
     if fault is not None:
         found = [episode for episode in found if episode["fault"] == fault]
         if not found:
@@ -53,12 +59,45 @@ def command(
         lasting = [episode for episode in found if episode["outcome"] == "open" or episode["current"]]
         recent = [episode for episode in found if episode not in lasting][-RECENT:]
         found = [episode for episode in found if episode in lasting or episode in recent]
+    _show(found, running, as_json=as_json, one=fault is not None)
+    ctx.exit(1 if unread else 0)
+
+
+def _files(directory: str) -> list[Path]:
+    try:
+        return json_log.files(directory)
+    except OSError as error:
+        raise click.ClickException(f"the log in {directory} cannot be read: {error.strerror}") from None
+
+
+def _timelines(
+    directory: str, files: Sequence[Path], opened: Sequence[Mapping[str, Any]] | None
+) -> tuple[list[dict[str, Any]], bool]:
+    """The faults, and whether there is a log of which nothing could be read. Says what was not read."""
+    from phm.logs.reader import LogReader
+
+    log = LogReader(Path(directory))
+    events = log.events(last=True)
+    first = list(islice(events, 1))
+    found = fault_timeline.build_timelines(chain(first, events), opened)
+    log.close()
+    problems = [f"{file}: not a regular file" for file in files if not file.is_file()] + log.problems()
+    for problem in problems:
+        click.echo(problem, err=True)
+    unread = bool(problems) and not first
+    if unread:
+        click.echo(f"nothing in the log in {directory} could be read: its faults are unknown", err=True)
+    return found, unread
+
+
+def _show(found: list[dict[str, Any]], running: bool, *, as_json: bool, one: bool) -> None:
+    """one: the steps of the only fault that was found."""
     if as_json:
         click.echo(json.dumps({"running": running, "faults": found}, indent=2))
         return
     from phm.cli import terminal
 
-    if fault is not None:
+    if one:
         terminal.timeline(found[0], running)
     else:
         terminal.faults(found, running)

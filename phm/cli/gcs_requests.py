@@ -174,8 +174,8 @@ class _Client:
 
         row = self._row()
 
-        def transmit(confirmation: int) -> None:
-            self._station.command(row["agent"], row["component"], command, confirmation, row["link"] or "")
+        def transmit(confirmation: int, nonce: float) -> None:
+            self._station.command(row["agent"], row["component"], command, confirmation, nonce, row["link"] or "")
 
         exchange = Exchange(row["name"], command, transmit, self._clock.mono())
         while not exchange.done(self._clock.mono()):

@@ -6,6 +6,7 @@ import os
 import sys
 from dataclasses import replace
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
@@ -244,8 +245,8 @@ def _finish(directory: Path, answers: Answers, *, owned: bool) -> None:
 
     click.echo("Next:")
     if not owned:
-        click.echo(f"  sudo chown -R {PHM_USER}:{PHM_USER} {directory / DELIVERED}")
-    click.echo(f"  cd {directory} && docker compose up -d")
+        click.echo(f"  sudo chown -R {PHM_USER}:{PHM_USER} {quote(str(directory / DELIVERED))}")
+    click.echo(f"  cd {quote(str(directory))} && docker compose up -d")
     click.echo("  docker compose exec phm phm status")
     click.echo("`phm learn` then adds nodes, topics and rates, and `phm doctor` shows what PHM can use.")
     if answers.deliver:

@@ -58,6 +58,7 @@ def command(
     Exit code 0: done; 1: nothing could be watched, or the file could not be written; 78: the configuration is invalid.
     """
     from phm.config import ConfigError
+    from phm.config.loader import read_file
     from phm.learn import output as files
     from phm.learn.agent_observer import AgentObserver, ObservationFailed
     from phm.learn.baseline import learn
@@ -68,8 +69,10 @@ def command(
     base = _base(config, output, fresh)
     request = _request(duration, containers, folders)
     try:
-        text = base.read_text(encoding="utf-8-sig") if base is not None else ""
+        text = read_file(base).replace("\r\n", "\n") if base is not None else ""
         settings = files.settings_of(text, str(base or "phm.yaml"), os.environ)
+        if output is not None:
+            _check_folder(output)
         from phm.core.clock import SystemClock
 
         seen = AgentObserver(settings, request, SystemClock(), _progress).run()
@@ -80,15 +83,17 @@ def command(
             raise ObservationFailed(
                 f"nothing was learned: {'; '.join(seen.problems) or 'no container or ROS node is running'}"
             )
-        written = files.write(output, new, baseline) if output is not None else []
     except ConfigError as error:
         click.echo(str(error), err=True)
         ctx.exit(EX_CONFIG)
     except (OSError, UnicodeDecodeError, ObservationFailed) as error:
         raise click.ClickException(str(error)) from None
-    for path in written:
-        click.echo(f"phm learn: wrote {path}", err=True)
-    _print(text, new, str(base or "phm.yaml"), baseline, diff=diff, as_json=as_json, printed=output is None)
+    failed = _write(output, new, baseline) if output is not None else None
+    printed = output is None or failed is not None
+    _print(text, new, str(base or "phm.yaml"), baseline, diff=diff and failed is None, as_json=as_json, printed=printed)
+    if failed is not None:
+        missing = ", but its manifests may be missing" if baseline.manifests else ""
+        raise click.ClickException(f"{output} was not written ({failed}): what was learned is on stdout{missing}")
 
 
 def _base(config: str | None, output: Path | None, fresh: bool) -> Path | None:
@@ -103,6 +108,32 @@ def _base(config: str | None, output: Path | None, fresh: bool) -> Path | None:
         return output
     default = find(None)
     return default if default.exists() else None
+
+
+def _check_folder(output: Path) -> None:
+    """Before the measurement, which may take hours."""
+    from phm.learn.output import check_folder
+
+    try:
+        check_folder(output)
+    except OSError as error:
+        raise click.ClickException(
+            f"--output {output}: cannot write there ({error.strerror}), so nothing was measured: name a folder that PHM's user may "
+            'write to, or run it as yourself: docker compose run -u "$(id -u):$(id -g)" ...'
+        ) from None
+
+
+def _write(output: Path, text: str, baseline: Baseline) -> OSError | None:
+    """Returns what prevented it."""
+    from phm.learn.output import write
+
+    try:
+        written = write(output, text, baseline)
+    except OSError as error:
+        return error
+    for path in written:
+        click.echo(f"phm learn: wrote {path}", err=True)
+    return None
 
 
 def _request(duration: str, containers: tuple[str, ...], folders: tuple[str, ...]) -> Any:

@@ -240,12 +240,7 @@ class _Printer:
 
 def _close(logs: Sequence[LogReader]) -> None:
     """Close, and say what could not be read."""
-    from phm.wire.text import one_line
-
     for log in logs:
         log.close()
-        for file, why in log.damaged.items():
-            click.echo(one_line(f"{file}: damaged or unreadable: {why}; the lines before it are shown"), err=True)
-        if log.skipped:
-            left_out = f"{log.path}: {log.skipped} lines are incomplete or not JSON and were left out"
-            click.echo(one_line(left_out), err=True)
+        for problem in log.problems():
+            click.echo(problem, err=True)

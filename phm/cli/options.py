@@ -16,6 +16,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 EX_CONFIG = 78
 """sysexits.h: the configuration is invalid."""
+CONFIGURATION = click.Path(readable=False)
+"""Click checks nothing: it would exit with 2, after which systemd restarts PHM forever. Reading the file reports it, with 78."""
 
 
 def config_option(function: F) -> F:
@@ -24,7 +26,7 @@ def config_option(function: F) -> F:
         "-c",
         "--config",
         "config",
-        type=click.Path(dir_okay=False),
+        type=CONFIGURATION,
         default=None,
         envvar="PHM_CONFIG",
         show_envvar=True,

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 import click
 
-from phm.cli.options import EX_CONFIG, config_option, json_option
+from phm.cli.options import CONFIGURATION, EX_CONFIG, config_option, json_option
 
 if TYPE_CHECKING:
     from phm.runtime.configuration import Configuration
@@ -19,7 +20,7 @@ COUNTED = ("units", "containers", "nodes", "topics", "endpoints")
 
 
 @click.command(epilog="Example: phm validate -c config/phm.yaml")
-@click.argument("file", required=False, type=click.Path())
+@click.argument("file", required=False, type=CONFIGURATION)
 @config_option
 @json_option
 @click.option(
@@ -34,8 +35,8 @@ def command(
 ) -> None:
     """Validate a configuration file and list every problem.
 
-    It also warns about ladders of unknown conditions, and in a container about endpoints that do not leave it. Opens nothing but
-    the file. Exit code 0: valid; 78: invalid.
+    It also warns about ladders of unknown conditions, about shares written as fractions, and in a container about endpoints that do
+    not leave it. Opens nothing but the file. Exit code 0: valid; 78: invalid.
     """
     if schema:
         from phm.config.schema import text
@@ -61,7 +62,7 @@ def _examples() -> int:
 
 def validate(path: str | None, as_json: bool, environ: Mapping[str, str] | None = None) -> int:
     """Print the result; problems on stderr, one a line (with as_json all on stdout). Returns 0 or 78."""
-    from phm.config import ConfigError
+    from phm.config import ConfigError, fractions
     from phm.runtime.configuration import read
 
     try:
@@ -75,7 +76,7 @@ def validate(path: str | None, as_json: bool, environ: Mapping[str, str] | None 
             click.echo(str(error), err=True)
             click.echo(f"{count} problem{'s' if count != 1 else ''}", err=True)
         return EX_CONFIG
-    warnings = _warnings(good)
+    warnings = [*_warnings(good), *fractions.warnings(good.file, os.environ if environ is None else environ)]
     if as_json:
         click.echo(json.dumps({"ok": True, **_facts(good), "problems": [], "warnings": warnings}, indent=2))
     else:

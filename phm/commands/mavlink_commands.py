@@ -23,7 +23,7 @@ from phm.core.bounded_queue import BoundedQueue
 from phm.core.clock import Clock
 from phm.core.model import Fault
 from phm.core.settings import MavlinkSettings
-from phm.transport.priority import MessagePriority
+from phm.transport.priority import UNSIGNED_LAST, MessagePriority
 from phm.wire.command import (
     COMMAND_INT,
     COMMAND_LONG,
@@ -55,7 +55,6 @@ MAX_WAITING = 64
 MAX_REPEATS = 64
 HEARTBEAT_EVERY_S = 1.0
 """HEARTBEATs are exempt from the budget of a link, so requests for them are limited here."""
-UNSIGNED_LAST = 9
 IDLE_S = 1.0
 CLOSING_S = 2.0
 
@@ -120,6 +119,7 @@ class MavlinkCommands:
             age_s=getattr(message, "_age_s", 0.0),
             name_hash=message.param3,
             for_s=message.param4,
+            rest=_rest(message),
         )
         authorization = authorize(command, self._allowed, signing=self._port.signs, command_age_s=self._command_age_s)
         if isinstance(authorization, Ignore):
@@ -294,3 +294,10 @@ class MavlinkCommands:
             else:
                 self._send(message, link)
         return max(0.0, min([IDLE_S, *(due - now for _every_s, due, _command in self._repeats.values())]))
+
+
+def _rest(message: Any) -> tuple[float, float, float]:
+    """param5 to param7; COMMAND_INT calls them by what they are in navigation commands."""
+    if message.get_msgId() == COMMAND_INT:
+        return message.x, message.y, message.z
+    return message.param5, message.param6, message.param7

@@ -64,6 +64,6 @@ class CommandDedup:
 def _key(command: Command) -> tuple[object, ...]:
     # Without the link: a ground station may repeat a command on another one.
     params = tuple(
-        repr(value) for value in (*command.params, command.name_hash, command.for_s)
+        repr(value) for value in (*command.params, command.name_hash, command.for_s, *command.rest)
     )  # as text, because NaN is not equal to itself
     return command.system, command.component, command.command, params

@@ -12,7 +12,11 @@ import yaml
 _FOUND = re.compile(r"but (?:found|got) '?([^']*)'?$")
 _BRACKETS = (yaml.FlowSequenceStartToken, yaml.FlowMappingStartToken)
 _BRACKETS_END = (yaml.FlowSequenceEndToken, yaml.FlowMappingEndToken)
+_BEGIN = (yaml.StreamStartToken, yaml.DocumentStartToken)
 _INDENTED = ("<block mapping start>", "<block sequence start>")
+_BEFORE_NAME = {"while scanning an alias": "*", "while scanning an anchor": "&"}
+"""What PyYAML reads when a name does not follow the character, as in `*.log`."""
+_NO_COLON = "a ':' is missing after a key, or the space after it: write 'key: value'; or check the indentation"
 
 
 def explain(error: yaml.MarkedYAMLError, text: str) -> tuple[int, str]:
@@ -26,15 +30,19 @@ def explain(error: yaml.MarkedYAMLError, text: str) -> tuple[int, str]:
         return line, "tab used for indentation: use spaces"
     if "expected a single document" in context:
         return line, "a second document starts here: keep one, without '---' between"
+    first = _first_key_without_colon(problem, mark, text)
+    if first is not None:
+        return first, _NO_COLON
     if "mapping values are not allowed" in problem:
         return line, "unexpected ':': check the indentation and the line before, put text with ': ' in quotes"
     if "could not find expected ':'" in problem:
-        return (
-            begun,
-            "a ':' is missing after a key, or the space after it: write 'key: value'; or check the indentation",
-        )
+        return begun, _NO_COLON
     if "found undefined alias" in problem:
         return line, f"{problem}: define it with '&' first, or put text that starts with '*' in quotes"
+    if context in _BEFORE_NAME:
+        return line, f"put text that starts with '{_BEFORE_NAME[context]}' in quotes"
+    if "unknown escape character" in problem or "expected escape sequence" in problem:
+        return line, rf"{problem.removeprefix('found ')}: use single quotes, or '\\' for one backslash"
     if "cannot start any token" in problem:
         return line, f"{problem}: put the text in quotes"
     if "quoted scalar" in context and "end of stream" in problem:
@@ -69,6 +77,17 @@ def _unexpected(problem: str, mark: yaml.Mark, begun: int, text: str) -> tuple[i
     if not found.startswith("<"):
         return line, f"unexpected '{found}': remove it, or put the text in quotes"
     return None
+
+
+def _first_key_without_colon(problem: str, mark: yaml.Mark, text: str) -> int | None:
+    """The line of the first key, if it has no ': '. It is then text, to PyYAML, and the next key is the mistake."""
+    if not ("mapping values are not allowed" in problem or "but found '<block mapping start>'" in problem):
+        return None
+    before = [token for token in _tokens_before(text, mark.index) if not isinstance(token, _BEGIN)]
+    if len(before) != 1 or not isinstance(before[0], yaml.ScalarToken) or not before[0].plain:
+        return None
+    line = before[0].start_mark.line
+    return line + 1 if line < mark.line else None
 
 
 def _in_bracket(bracket: yaml.Token, line: int) -> tuple[int, str]:

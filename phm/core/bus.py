@@ -89,11 +89,21 @@ class Subscription:
     def _guarded(self, call: Callable[[], None]) -> None:
         try:
             call()
-        except Exception as error:  # a reporter may be a plug-in: its errors must not affect others
+        except (
+            BaseException
+        ) as error:  # a reporter may be a plug-in that raises anything, SystemExit included: others go on
             self.errors += 1
-            self.last_error, self.failed_at = f"{self.name}: {type(error).__name__}: {error}", self._clock.mono()
+            self.last_error, self.failed_at = f"{self.name}: {type(error).__name__}{_text(error)}", self._clock.mono()
             if self.errors in (1, 10, 100) or self.errors % 1000 == 0:
                 logger.exception("subscriber %s failed (%d times)", self.name, self.errors)
+
+
+def _text(error: BaseException) -> str:
+    """`: ` and its text; an exception of a plug-in may have none that can be made."""
+    try:
+        return f": {error}"
+    except BaseException:
+        return ""
 
 
 class Bus:

@@ -103,6 +103,7 @@ class Evidence:
     falling:      the newest measurement is below the limit; the report only has not ended yet.
     ended_by:     what ended the earlier failure of the unit, as observed, e.g. ``reboot``: no action is credited for it.
     forecast:     the unit works, and this WARN is about what may come: an earlier failure of the unit is over.
+    unobserved:   PHM has not observed the subject since its start, and this OK does not say that an earlier failure is over.
     """
 
     generation: str = ""
@@ -118,6 +119,7 @@ class Evidence:
     falling: bool = False
     ended_by: str = ""
     forecast: bool = False
+    unobserved: bool = False
 
 
 @dataclass(frozen=True, slots=True)

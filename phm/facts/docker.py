@@ -16,8 +16,8 @@ class Attachment:
     address: str
     gateway: str = ""
     aliases: tuple[str, ...] = ()
-    fixed_address: str = ""
-    """The address that the user configured (IPAMConfig); empty if Docker chose the address."""
+    fixed_addresses: tuple[str, ...] = ()
+    """The IPv4 and the IPv6 address that the user configured (IPAMConfig); empty if Docker chose the address."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +118,8 @@ class ContainerFact:
     """CPUs; None: no limit."""
     cpu_period_s: float = 0.1
     """Period to which that limit applies."""
+    memory_limit: int | None = None
+    """Bytes; None: no limit."""
     maintenance: str = ""
     """The label `phm.maintenance`: a maintenance window, in which the container is on hold (`phm.core.maintenance`)."""
 
@@ -204,6 +206,9 @@ class DockerProbe(Protocol):
 
     def network_id(self, name: str) -> str:
         """Return the id of the network; empty if it does not exist."""
+
+    def network_driver(self, name: str) -> str:
+        """Return the driver of the network, such as `bridge`; empty if it does not exist."""
 
     def reachable(self, address: str) -> bool:
         """Return whether `address` answers within 1 s (ICMP echo, else ARP/TCP evidence)."""

@@ -22,8 +22,9 @@ class DiskFact:
 class HostFact:
     """Measurements of the host. None: this machine does not report the value."""
 
-    cpu_percent: float
-    """Use of all cores together since the last reading (at least 0.2 s ago); 0 to 100."""
+    cpu_percent: float | None
+    """Use of all cores together since the last reading (at least 0.2 s ago); 0 to 100. None: there was no reading before, so this
+    and the other shares of time are not measured yet."""
     memory_percent: float
     memory_available_bytes: int
     disks: tuple[DiskFact, ...]
@@ -31,7 +32,10 @@ class HostFact:
     temperature_c: float | None = None
     temperature_of: str = ""
     throttled: tuple[str, ...] | None = None
-    """Reasons such as `under-voltage now`, `frequency capped now`; empty: not throttled; None: unknown."""
+    """Reasons such as `under-voltage now`, `frequency capped earlier`; empty: not throttled; None: unknown.
+
+    earlier: in the last seconds or since boot, depending on the kernel.
+    """
     clock_synchronized: bool | None = None
     clock_step_s: float = 0.0
     """How far UTC has jumped relative to the monotonic clock since the last reading."""

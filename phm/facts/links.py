@@ -168,6 +168,10 @@ class LinkFact:
     """MAVLink frames received per second."""
     bad_s: float | None = None
     """False start markers and damaged frames per second."""
+    frame_bytes_s: float | None = None
+    """Bytes per second of the frames in `frames_s`."""
+    verified_s: float | None = None
+    """The part of `frames_s` whose checksum PHM computed. It does so for messages that it reads, and for new senders."""
     senders: tuple[SenderFact, ...] = ()
     line: LineFact | None = None
     """Serial ports only, and only if the driver counts errors."""

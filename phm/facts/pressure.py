@@ -61,6 +61,9 @@ class PressureFact:
     reread_pages: int | None = None
     """Pages that were evicted from memory and needed again, so that a process had to wait for them (refaults)."""
     oom_kills: int | None = None
+    """Processes that the kernel killed for lack of memory, whether the container or the computer lacked it."""
+    memory_limit_hits: int | None = None
+    """How often the container reached its own memory limit: rises before the kernel kills a process because of that limit."""
     pids: int | None = None
     """Processes and threads."""
     pids_limit: int | None = None

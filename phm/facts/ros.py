@@ -261,7 +261,7 @@ class RosFact:
     nodes:       full name -> how often it is listed.
     topics:      configured topics, those of `ready.topics` too, by full name.
     beacons:     those received since this child started, by full node name.
-    diagnostics: those received since this child started, by the name of the status.
+    diagnostics: those received since this child started, by the name of the status. If several publishers use it: the newest.
     others:      topics that are not configured, by full name, a few seconds old; incomplete if there are very many.
     refused:     messages on the beacon topic since this child started that were not beacons, or were too many.
     names_known: whether the names of nodes could be read.
@@ -272,6 +272,7 @@ class RosFact:
                  full name.
     lifecycle:   states of the nodes with `ready.lifecycle` or a check of type `lifecycle`, by full name.
     calls:       answers of the services that are called, by full name.
+    diagnostic_sources: the newest status of each publisher, for names that several publishers use.
     """
 
     age_s: float
@@ -288,6 +289,7 @@ class RosFact:
     services: Mapping[str, int] = field(default_factory=dict)
     lifecycle: Mapping[str, AnswerFact] = field(default_factory=dict)
     calls: Mapping[str, AnswerFact] = field(default_factory=dict)
+    diagnostic_sources: Mapping[str, tuple[DiagnosticFact, ...]] = field(default_factory=dict)
 
     @property
     def listened_for_s(self) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from phm.core.duplicate_filter import DuplicateFilter
 from phm.core.model import Level, Slot, Stamp
@@ -47,7 +47,9 @@ class ReportedProblem:
 
 @dataclass(frozen=True, slots=True)
 class Advice:
-    """An action that waits for the operator's approval. fault: its number. valid_s: how long an approval is valid, None: unknown."""
+    """An action that waits for the operator's approval. fault: its number. valid_s: how long an approval is valid, None: unknown.
+    doubtful: its slot has been unknown since, so that its fault may be over.
+    """
 
     fault: int
     slot: int
@@ -55,6 +57,7 @@ class Advice:
     target: str
     valid_s: float | None
     at: Stamp
+    doubtful: bool = False
 
 
 @dataclass(slots=True)
@@ -140,8 +143,12 @@ class Agent:
         self.word, self.state = beat.custom_mode, beat.state
         for slot in [slot for slot in self.bad if not levels.get(Slot(slot), Level.STALE).bad]:
             del self.bad[slot]
-        for fault in [fault for fault, one in self.advice.items() if not levels.get(Slot(one.slot), Level.STALE).bad]:
-            del self.advice[fault]
+        for fault, one in list(self.advice.items()):
+            level = levels.get(Slot(one.slot), Level.STALE)
+            if level is Level.OK:
+                del self.advice[fault]
+            elif not level.bad:  # PHM does not send it again when its unit is known again
+                self.advice[fault] = replace(one, doubtful=True)
         pairs = {slot: (old.get(slot, Level.STALE), levels.get(slot, Level.STALE)) for slot in Slot}
         return {slot: pair for slot, pair in pairs.items() if pair[0] is not pair[1]}
 
@@ -174,7 +181,10 @@ class Agent:
         """Take over what waits for an approval, and what no longer does."""
         found = line.advice
         if found is not None:
-            self.advice.pop(found.fault, None)
+            for fault, one in list(self.advice.items()):
+                same = (one.slot, one.action, one.target) == (line.slot, found.action, found.target)
+                if fault == found.fault or (one.doubtful and same):
+                    del self.advice[fault]
             self.advice[found.fault] = Advice(found.fault, line.slot, found.action, found.target, found.valid_s, at)
             while len(self.advice) > MAX_ADVICE:
                 self.advice.popitem(last=False)

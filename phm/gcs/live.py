@@ -163,8 +163,8 @@ class LiveView:
             self._answer(f"{about}: not sent, still waiting for the answer to {earlier.command.text}")
             return
 
-        def send(confirmation: int) -> None:
-            self._station.command(agent["agent"], agent["component"], command, confirmation, agent["link"] or "")
+        def send(confirmation: int, nonce: float) -> None:
+            self._station.command(agent["agent"], agent["component"], command, confirmation, nonce, agent["link"] or "")
 
         self._exchanges.append(Exchange(agent["name"], command, send, self._clock.mono()))
 

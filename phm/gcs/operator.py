@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -12,6 +13,7 @@ from phm.wire.command import (
     CHECK,
     CONTAINERS,
     HOLD,
+    LARGEST,
     NAMED_VALUE_FLOAT,
     ONBOARD_COMPUTER_STATUS,
     RELEASE,
@@ -115,10 +117,10 @@ def menu(agent: Mapping[str, Any]) -> list[tuple[str, OperatorCommand]]:
 class Exchange:
     """One command to one agent until its answer. Not thread-safe.
 
-    send: sends the command with this `confirmation`. name: of the agent, as in events.
+    send: sends the command with this `confirmation` and nonce. name: of the agent, as in events.
     """
 
-    def __init__(self, name: str, command: OperatorCommand, send: Callable[[int], None], now: float) -> None:
+    def __init__(self, name: str, command: OperatorCommand, send: Callable[[int, float], None], now: float) -> None:
         self.name, self.command, self._send = name, command, send
         self.result = ""
         """Name of the MAV_RESULT; `TIMEOUT` without an answer."""
@@ -126,7 +128,9 @@ class Exchange:
         """Whether the answer arrived after the command was given up."""
         self.reply = ""
         self._attempts, self._at = 1, now
-        self._send(0)
+        self._nonce = float(secrets.randbelow(LARGEST))
+        """Distinguishes it from an equal request before, which a repetition of this one must not be taken for."""
+        self._send(0, self._nonce)
 
     def blocks(self, name: str, command: OperatorCommand) -> bool:
         """Whether this command to this agent must wait for the answer: a COMMAND_ACK names the command's number alone."""
@@ -156,7 +160,7 @@ class Exchange:
                 self.result = "TIMEOUT"
                 self._at = float("-inf")
                 return True
-            self._send(self._attempts)
+            self._send(self._attempts, self._nonce)
             self._attempts, self._at = self._attempts + 1, now
         return False
 

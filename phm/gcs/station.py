@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import errno
 import logging
-import secrets
 import threading
 import uuid
 from collections.abc import Collection, Iterable, Mapping
@@ -94,7 +93,6 @@ class GroundStation:
         self.commands_sent = 0
         self._problems: tuple[str, ...] = ()
         self._twin = ""
-        self._nonce = float(secrets.randbelow(2**24))
         self._tick_at = self._beat_at = float("-inf")
         self._lock, self._limits = threading.Lock(), threading.Lock()
         self._stop = threading.Event()
@@ -134,12 +132,13 @@ class GroundStation:
                 return ""
             self._clock.wait(self._stop, 0.02)
 
-    def command(self, system: int, component: int, command: OperatorCommand, confirmation: int, link: str = "") -> None:
-        """Send a command to one agent, on the link by which it is received; never waits. confirmation: counts repetitions from 0."""
+    def command(
+        self, system: int, component: int, command: OperatorCommand, confirmation: int, nonce: float, link: str = ""
+    ) -> None:
+        """Send a command to one agent, on the link by which it is received; never waits. confirmation: counts repetitions from 0.
+        nonce: of the request, an integer below `LARGEST`; an agent takes equal commands within seconds for one."""
         self.commands_sent += 1
-        # The last parameter is unused by PHM, which takes equal frames within seconds for copies of one: programs that were started
-        # one after another send equal ones.
-        rest = (float(command.name_hash), command.for_s, 0.0, 0.0, self._nonce)
+        rest = (float(command.name_hash), command.for_s, 0.0, 0.0, nonce)
         self._hub.send(
             mavlink.MAVLink_command_long_message(
                 system, component, command.command, confirmation, *map(float, command.params), *rest

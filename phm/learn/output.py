@@ -25,6 +25,14 @@ def check(text: str, file: str, environ: Mapping[str, str]) -> None:
     loads(text, file, environ=environ)
 
 
+def check_folder(path: Path) -> None:
+    """Raises OSError if the folder of this file, or the one in which it would be made, cannot be written to. Leaves nothing there."""
+    folder = next(parent for parent in path.absolute().parents if parent.exists())
+    number, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=folder)
+    os.close(number)
+    os.unlink(temporary)
+
+
 def write(path: Path, text: str, baseline: Baseline) -> list[Path]:
     """Write the configuration and its manifests beside it; returns what was written. Raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -7,6 +7,7 @@ from typing import Any
 
 from phm.core.settings.containers import ContainerSettings
 from phm.facts import CannotTell
+from phm.probes.docker_facts import is_configured
 from phm.transport.docker import DockerEngine
 
 LINES = 5000
@@ -18,7 +19,8 @@ def reference(engine: DockerEngine, container: ContainerSettings) -> str:
     """Its name, or the id of the only container with its label. Raises CannotTell."""
     if container.name:
         return container.name
-    found = engine.list(label=container.label or "", deadline_s=DEADLINE_S)
+    listed = engine.list(label=container.label or "", deadline_s=DEADLINE_S)
+    found = [entry for entry in listed if is_configured(container, entry)]
     if len(found) != 1:
         raise CannotTell(f"{len(found)} containers have the label {container.label}")
     return str(found[0]["Id"])

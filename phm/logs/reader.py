@@ -12,6 +12,7 @@ from typing import IO, Any, cast
 
 from phm.core.duplicate_filter import DuplicateFilter
 from phm.wire import json_log
+from phm.wire.text import one_line
 
 MAX_LINE = 2_000_000
 """Bytes. The daemon writes at most 8000; a longer line than this is left out."""
@@ -67,6 +68,15 @@ class LogReader:
             self._finish()
         if last:
             yield from self._rest()
+
+    def problems(self) -> list[str]:
+        """What was not read, as sentences of one line."""
+        found = [
+            f"{file}: damaged or unreadable: {why}; the lines before it are shown" for file, why in self.damaged.items()
+        ]
+        if self.skipped:
+            found.append(f"{self.path}: {self.skipped} lines are incomplete or not JSON and were left out")
+        return [one_line(text) for text in found]
 
     def close(self) -> None:
         for stream in (self._stream, self._plain):

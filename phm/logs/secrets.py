@@ -46,7 +46,11 @@ _SECRET_PIECES = ("passw", "passphrase", "secret", "token", "apikey", "credentia
 _WORD = r"(?:passw|passphrase|secret|token|api[_-]?key|credential|private[_-]?key|access[_-]?key|signing[_-]?key)"
 _NAME = rf"(?:{_WORD}[\w.\-]{{0,40}}|(?<![A-Za-z0-9])(?:key|pwd|pass|psk|auth|cookie|webhook))"
 _VALUE = r"""(?:\\"[^"\\]*\\?"?|"(?:[^"\\]|\\.)*"?|'[^']*'?|[^\s,;&"'}\]]+)"""
-_NAMED = re.compile(rf"""({_NAME}\\?["']?\s{{0,4}}[=:]\s{{0,4}})(?!<removed>)({_VALUE})""", re.IGNORECASE)
+_NO_DIRECTORY = r"(?!(?<!\w)(?-i:PWD)=/)"
+"""Not before the current directory of a shell."""
+_NAMED = re.compile(
+    rf"""{_NO_DIRECTORY}({_NAME}\\?["']?\s{{0,4}}[=:]\s{{0,4}})(?!<removed>)({_VALUE})""", re.IGNORECASE
+)
 _OPTION = re.compile(rf"""(-[\w\-]{{0,40}}?{_NAME}\s{{1,4}})(?!<removed>|-)({_VALUE})""", re.IGNORECASE)
 _HEADER = re.compile(r"(authorization\\?[\"']?\s{0,4}[=:]\s{0,4}\\?[\"']?)[^\s\"'\\]+(?:\s[^\s\"'\\]+)?", re.IGNORECASE)
 _BEARER = re.compile(r"(\bbearer\s{1,4})[\w.~+/=\-]{4,}", re.IGNORECASE)
@@ -58,8 +62,10 @@ _HARMLESS = frozenset(("unix", "tcp", "file", "udp", "npipe"))
 _HINT = re.compile(r"pass|secret|token|key|credential|auth|bearer|cookie|pwd|psk|webhook|://|-----BEGIN", re.IGNORECASE)
 
 
-def is_secret(name: str) -> bool:
-    """Whether the name of a variable, key or option says that its value is secret."""
+def is_secret(name: str, value: object = None) -> bool:
+    """Whether the name of a variable, key or option says that its value is secret. PWD with a path is the directory of a shell."""
+    if name == "PWD" and isinstance(value, str) and value.startswith("/"):
+        return False
     parts = [part.lower() for part in _PARTS.findall(name[:200])]
     joined = "".join(parts)
     return any(piece in joined for piece in _SECRET_PIECES) or not _SECRET_PARTS.isdisjoint(parts)
@@ -108,7 +114,7 @@ class Secrets:
         """Learn the secrets in entries such as ``API_TOKEN=abc``."""
         for entry in variables:
             name, _, value = entry.partition("=")
-            if is_secret(name):
+            if is_secret(name, value):
                 self.learn(value, f"value of {name} ({where})")
             for match in _USER.finditer(value):
                 self.learn(match[0].partition("://")[2][:-1].rpartition(":")[2], f"password in {name} ({where})")
@@ -117,7 +123,7 @@ class Secrets:
         """Values under secret names in what YAML or JSON gave."""
         if isinstance(tree, dict):
             for key, value in tree.items():
-                if is_secret(str(key)) or (key == "value" and is_secret(str(tree.get("name", "")))):
+                if is_secret(str(key), value) or (key == "value" and is_secret(str(tree.get("name", "")), value)):
                     for text in _texts(value):
                         self.learn(text, f"value of {key} ({where})")
                 self.learn_tree(value, where)
@@ -133,7 +139,7 @@ class Secrets:
         if isinstance(value, dict):
             return {
                 self.clean(str(key), where): self._named(where, str(key), entry)
-                if is_secret(str(key)) and isinstance(entry, (str, int)) and entry not in ("", True, False)
+                if is_secret(str(key), entry) and isinstance(entry, (str, int)) and entry not in ("", True, False)
                 else self.clean_json(entry, where)
                 for key, entry in value.items()
             }
@@ -147,7 +153,7 @@ class Secrets:
         if not isinstance(value, str):
             return value
         name, sign, rest = value.partition("=")
-        if sign and rest and is_secret(name) and not re.search(r"\s", name):
+        if sign and rest and is_secret(name, rest) and not re.search(r"\s", name):
             return f"{name}={self._named(where, name.lstrip('-'), rest)}"
         return self.clean_urls("\n".join(self.clean_lines(value.split("\n"), where)), where)
 

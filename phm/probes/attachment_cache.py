@@ -11,14 +11,15 @@ from phm.facts import Attachment, ContainerFact, DockerProbe, OtherContainer, Pr
 
 
 class AttachmentCache:
-    """A `phm.facts.DockerProbe` that keeps the last attachment of each container to each network.
+    """A `phm.facts.DockerProbe` that keeps the last attachment of each container, and of PHM's own, to each network.
 
-    Bounded by the configuration: one entry per configured container and network on which it was seen.
+    Bounded by the configuration: one entry per container and network on which it was seen.
     """
 
     def __init__(self, inner: DockerProbe) -> None:
         self._inner = inner
         self._seen: dict[tuple[str, str], Attachment] = {}
+        self._own: dict[str, Attachment] = {}
 
     def engine(self) -> str:
         return self._inner.engine()
@@ -34,13 +35,19 @@ class AttachmentCache:
         return self._inner.processes(name)
 
     def own_container(self) -> ContainerFact | None:
-        return self._inner.own_container()
+        fact = self._inner.own_container()
+        if fact is not None:
+            self._own |= {attachment.name: attachment for attachment in fact.networks}
+        return fact
 
     def others(self) -> tuple[OtherContainer, ...]:
         return self._inner.others()
 
     def network_id(self, name: str) -> str:
         return self._inner.network_id(name)
+
+    def network_driver(self, name: str) -> str:
+        return self._inner.network_driver(name)
 
     def reachable(self, address: str) -> bool:
         return self._inner.reachable(address)
@@ -49,6 +56,11 @@ class AttachmentCache:
         """Keep what is known of these containers after a reload: one that is disconnected now is not seen attached again."""
         earlier = before._seen.copy()  # in one step: a check of the former daemon that hangs may still write
         self._seen = {place: seen for place, seen in earlier.items() if place[0] in containers} | self._seen
+        self._own = before._own | self._own
 
     def remembered(self, container: str, network: str) -> Attachment | None:
         return self._seen.get((container, network))
+
+    def own_remembered(self, network: str) -> Attachment | None:
+        """How PHM's own container was attached to the network."""
+        return self._own.get(network)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -71,6 +71,13 @@ def _slice(name: str) -> str:
     return "/".join("-".join(words[: count + 1]) + ".slice" for count in range(len(words)))
 
 
+def cpu_weight(root: Path, container: ContainerFact) -> int:
+    """The CPU weight of a running container on version 2; 0: version 1, where the engine's shares are exact, or not known."""
+    group = find(root, container)
+    text = _text(f"{group.unified}/cpu.weight") if group is not None and group.version == 2 else None
+    return int(text) if text and text.isdecimal() else 0
+
+
 def state(root: Path, group: Cgroup) -> CgroupState | None:
     """Whether a cgroup that was found has processes now; None if `root` does not show it any more."""
     if group.version == 2:
@@ -121,6 +128,7 @@ def _read_v2(group: Cgroup, at: float) -> PressureFact:
     quota, _, period = (_text(f"{base}/cpu.max") or "max").partition(" ")
     period_s = int(period or 0) / 1e6 or PERIOD_S
     used, limit = _number(f"{base}/memory.current"), _number(f"{base}/memory.max")
+    events = _table(f"{base}/memory.events")
     return PressureFact(
         at,
         "cgroup v2",
@@ -137,7 +145,8 @@ def _read_v2(group: Cgroup, at: float) -> PressureFact:
         memory_bytes=used,
         memory_limit=limit,
         reread_pages=_reread(f"{base}/memory.stat", used, limit),
-        oom_kills=_table(f"{base}/memory.events").get("oom_kill"),
+        oom_kills=events.get("oom_kill"),
+        memory_limit_hits=events.get("oom"),
         pids=_number(f"{base}/pids.current"),
         pids_limit=_number(f"{base}/pids.max"),
         pids_refused=_table(f"{base}/pids.events").get("max"),
@@ -169,10 +178,20 @@ def _read_v1(group: Cgroup, at: float) -> PressureFact:
         memory_limit=limit,
         reread_pages=_reread(f"{group.memory}/memory.stat", used, limit),
         oom_kills=_table(f"{group.memory}/memory.oom_control").get("oom_kill"),
+        memory_limit_hits=_limit_hits_v1(group.memory),
         pids=_number(f"{group.pids}/pids.current"),
         pids_limit=_number(f"{group.pids}/pids.max"),
         pids_refused=_table(f"{group.pids}/pids.events").get("max"),
     )
+
+
+def _limit_hits_v1(base: str) -> int | None:
+    """How often the memory limit was reached. None if the limit of memory and swap together has been reached too: Linux
+    6.18 does not count that."""
+    most, limit = _number(f"{base}/memory.memsw.max_usage_in_bytes"), _number(f"{base}/memory.memsw.limit_in_bytes")
+    if most is not None and limit is not None and most >= NEAR_LIMIT * limit:
+        return None
+    return _number(f"{base}/memory.failcnt")
 
 
 def without_cache(group: Cgroup, used: int | None) -> int | None:
@@ -188,14 +207,18 @@ def less_cache(used: int | None, table: Mapping[str, int]) -> int | None:
     return None if used is None or len(known) < len(pages) else max(0, used - sum(known))
 
 
-def used_by_all(root: Path) -> dict[str, float]:
-    """CPU seconds used by each container, by full id; for at most MOST_GROUPS containers."""
+def used_by_all(root: Path, known: Iterable[Cgroup] = ()) -> dict[str, float]:
+    """CPU seconds used by each container, by full id; for at most MOST_GROUPS containers.
+
+    They are searched beside those of `known` too, which may be below a parent configured by the user.
+    """
     first = root if (root / "cgroup.controllers").exists() else root / "cpuacct"
+    parents = [Path(group.cpuacct or group.unified).parent for group in known]
     found: dict[str, float] = {}
-    for parent in ("docker", "system.slice"):
-        for name in _names(first / parent):
+    for parent in dict.fromkeys((*parents, first / "docker", first / "system.slice")):
+        for name in _names(parent):
             match = _SCOPE.fullmatch(name)
-            used_s = _used_s(str(first / parent / name)) if match else None
+            used_s = _used_s(str(parent / name)) if match else None
             if match and used_s is not None and len(found) < MOST_GROUPS:
                 found[match[1]] = used_s
     return found

@@ -11,7 +11,7 @@ from phm.probes.kernel_file import head
 
 SHORTEST_S = 0.2
 """The kernel counts in hundredths of a second: over a shorter time shares are meaningless, and the last ones are
-returned."""
+returned. Before that there are none."""
 _IDLE, _IOWAIT, _STEAL = 3, 4, 7
 _RUN_DELAY = 8
 """Field of a `cpu` line of /proc/schedstat (Documentation/scheduler/sched-stats.rst): nanoseconds for which tasks
@@ -23,7 +23,7 @@ _MOST_SCHEDSTAT = 1 << 16
 class CpuUsage:
     """Shares since the previous reading. See `phm.facts.HostFact`."""
 
-    busy_percent: float
+    busy_percent: float | None = None
     waiting_percent: float | None = None
     memory_percent: float | None = None
     io_percent: float | None = None
@@ -44,7 +44,7 @@ class CpuMonitor:
     def __init__(self, clock: Clock, proc: Path = Path("/proc")) -> None:
         self._clock, self._proc = clock, str(proc)
         self._last: _Reading | None = None
-        self._use = CpuUsage(0.0)
+        self._use = CpuUsage()
         with contextlib.suppress(OSError, ValueError, IndexError):  # `use` reports it
             self.use()  # the first call has no previous reading, so it takes one here
 

@@ -110,12 +110,19 @@ class Docker:
 
     def network_id(self, name: str) -> str:
         """The id of the network with this name; empty if it does not exist. Raises CannotTell."""
+        return str(self._network(name).get("Id") or "")
+
+    def network_driver(self, name: str) -> str:
+        return str(self._network(name).get("Driver") or "")
+
+    def _network(self, name: str) -> Mapping[str, Any]:
+        """The engine's data of the network with this name; empty if it does not exist. Raises CannotTell."""
         try:
             network = self._engine.inspect_network(name)
         except EngineMissing:
-            return ""
+            return {}
         # The engine also accepts the beginning of an id as a name.
-        return str(network.get("Id") or "") if network.get("Name") == name else ""
+        return network if network.get("Name") == name else {}
 
     def reachable(self, address: str) -> bool:
         facts = [fact for entry in self._entries.values() if (fact := entry.response.fact) is not None]

@@ -27,6 +27,8 @@ from phm.transport.docker import DockerEngine, EngineMissing
 
 ENTRYPOINT = ("ros-entrypoint", "phm")
 """The entry point of PHM's image."""
+ONEOFF = "com.docker.compose.oneoff"
+"""Label of Compose: true at a container of `docker compose run`, which has the labels of its service, too (seen with Compose 2.26)."""
 _OUTPUT_CHARS = 200
 _ALIVE = ("running", "paused", "restarting")
 _LEAST_S = 0.05
@@ -65,7 +67,7 @@ def _by_label(engine: DockerEngine, label: str, budget: TimeBudget) -> str:
     found = [
         entry
         for entry in engine.list(label=label, deadline_s=budget.left_s())
-        if entry.get("State") not in ("removing", "dead")
+        if entry.get("State") not in ("removing", "dead") and has_label(label, _part(entry, "Labels"))
     ]
     if len(found) > 1:
         found = [entry for entry in found if entry.get("State") in _ALIVE] or found
@@ -83,9 +85,18 @@ def is_configured(entry: ContainerSettings, summary: Mapping[str, Any]) -> bool:
     """Whether a container of the engine's list is the configured one."""
     if entry.name:
         return f"/{entry.name}" in _texts(summary, "Names")
-    label, has_value, value = (entry.label or "").partition("=")
-    labels = _part(summary, "Labels")
-    return label in labels and (not has_value or _text(labels[label]) == value)
+    return has_label(entry.label or "", _part(summary, "Labels"))
+
+
+def has_label(label: str, labels: Mapping[str, Any]) -> bool:
+    """Whether a container with these labels is one that `label` (`NAME` or `NAME=VALUE`) names.
+
+    A container of `docker compose run` is not its service's container, unless it is what `label` is about.
+    """
+    name, has_value, value = label.partition("=")
+    if name not in labels or (has_value and _text(labels[name]) != value):
+        return False
+    return name == ONEOFF or _text(labels.get(ONEOFF)).lower() != "true"
 
 
 def summary_of(answer: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -145,6 +156,7 @@ def container_fact(answer: Mapping[str, Any]) -> ContainerFact:
         cgroup_parent=_text(host.get("CgroupParent")),
         cpu_limit=_cpu_limit(host),
         cpu_period_s=_cpu_period_s(host),
+        memory_limit=_memory_limit(host),
         maintenance=_text(_part(_part(answer, "Config"), "Labels").get(LABEL))[:_OUTPUT_CHARS],
     )
 
@@ -164,6 +176,12 @@ def _cpu_limit(host: Mapping[str, Any]) -> float | None:
 def _cpu_period_s(host: Mapping[str, Any]) -> float:
     period_us = _number(host.get("CpuPeriod"))
     return period_us / 1e6 if period_us > 0 else 0.1
+
+
+def _memory_limit(host: Mapping[str, Any]) -> int | None:
+    """Bytes, from `--memory`."""
+    limit = _number(host.get("Memory"))
+    return limit if limit > 0 else None
 
 
 def _signal(value: Any) -> int:
@@ -213,7 +231,7 @@ def _networks(networks: Mapping[str, Any]) -> tuple[Attachment, ...]:
                 address=_text(attached.get("IPAddress")) or _text(attached.get("GlobalIPv6Address")),
                 gateway=_text(attached.get("Gateway")),
                 aliases=_texts(attached, "Aliases"),
-                fixed_address=_text(fixed.get("IPv4Address")) or _text(fixed.get("IPv6Address")),
+                fixed_addresses=tuple(_text(fixed[key]) for key in ("IPv4Address", "IPv6Address") if fixed.get(key)),
             )
         )
     return tuple(found)

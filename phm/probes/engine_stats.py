@@ -10,7 +10,6 @@ from phm.probes.cgroups import NEAR_LIMIT, less_cache
 
 SOURCE = "engine statistics"
 NOT_SEEN = ("waiting for CPU, memory and disk", "refused processes")
-_NO_LIMIT = 1 << 60
 
 
 def pressure_fact(answer: Mapping[str, Any], container: ContainerFact, at: float) -> PressureFact | None:
@@ -21,7 +20,8 @@ def pressure_fact(answer: Mapping[str, Any], container: ContainerFact, at: float
     if not used_ns:
         return None
     throttling, details = _part(cpu, "throttling_data"), _part(memory, "stats")
-    used, limit = _number(memory.get("usage")), _number(memory.get("limit"))
+    # The statistics of a container without a limit have the memory of the machine as its limit.
+    used, limit = _number(memory.get("usage")), container.memory_limit
     throttled_ns = _number(throttling.get("throttled_time"))
     return PressureFact(
         at,
@@ -35,7 +35,7 @@ def pressure_fact(answer: Mapping[str, Any], container: ContainerFact, at: float
         throttled_s=None if throttled_ns is None else throttled_ns / 1e9,
         memory_bytes=used,
         without_cache_bytes=_without_cache(details, used),
-        memory_limit=limit if limit is not None and 0 < limit < _NO_LIMIT else None,
+        memory_limit=limit,
         reread_pages=_reread(details, used, limit),
         pids=_number(pids.get("current")),
         pids_limit=_pids_limit(pids),

@@ -10,6 +10,7 @@ from typing import Any
 from phm.core.clock import Clock
 from phm.core.settings import ContainerSettings
 from phm.probes.docker_event import CONTAINER_ACTIONS, ENDINGS, NETWORK_ACTIONS, DockerEvent
+from phm.probes.docker_facts import has_label
 from phm.probes.docker_reconcile import ExpectedState, after, differences
 
 AGAIN_S = 1.0
@@ -199,5 +200,4 @@ def _named(entry: ContainerSettings, attributes: Mapping[str, Any]) -> bool:
     """Whether an event's attributes (name and labels) are those of a configured container."""
     if entry.name:
         return bool(attributes.get("name") == entry.name)
-    label, has_value, value = (entry.label or "").partition("=")
-    return label in attributes and (not has_value or attributes[label] == value)
+    return has_label(entry.label or "", attributes)

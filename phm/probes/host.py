@@ -2,7 +2,7 @@
 
 Docker does not namespace /proc and /sys, so PHM's container sees the host's figures; disks are those of its own mounts.
 CPU, memory and disks can fail within a second and cost 0.05 ms, so each run reads them. Sensors are slow and expensive,
-so they are read every few seconds.
+so they are read every few seconds. The throttling flags of a Raspberry Pi are not: the kernel keeps them for 2 s.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import importlib
 import os
 import re
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,7 +34,8 @@ MOST_FANS = 4
 # reports 100 degrees, and acpitz is the mainboard.
 _PROCESSOR = re.compile(r"cpu|soc|x86_pkg|coretemp|k10temp|zenpower", re.IGNORECASE)
 
-# Bits of a Raspberry Pi's get_throttled, from its documentation; from bit 16 on: the same, since boot.
+# Bits of a Raspberry Pi's get_throttled, from its documentation; from bit 16 on: the same, earlier. The driver raspberrypi-hwmon
+# clears those each time it reads them, every 2 s; without it they are kept since boot.
 _THROTTLED = (
     (0, "under-voltage"),
     (1, "frequency capped"),
@@ -81,7 +82,8 @@ class _Slow:
     at: float
     temperature_c: float | None
     temperature_of: str
-    throttled: tuple[str, ...] | None
+    throttle_flags: tuple[Path, ...]
+    """The files that have them; none on other machines than a Raspberry Pi."""
     clock_synchronized: bool | None
     fans_rpm: tuple[int, ...]
 
@@ -122,7 +124,7 @@ class Host:
                 load_per_core=load / (os.cpu_count() or 1),
                 temperature_c=slow.temperature_c,
                 temperature_of=slow.temperature_of,
-                throttled=slow.throttled,
+                throttled=_throttled(slow.throttle_flags),
                 clock_synchronized=slow.clock_synchronized,
                 clock_step_s=self._step(),
                 fans_rpm=slow.fans_rpm,
@@ -147,7 +149,8 @@ class Host:
         if self._slow is None or now - self._slow.at >= SLOW_S:
             temperature, sensor = self._temperature()
             synchronized, fans = clock_synchronized(), self._fans()
-            self._slow = _Slow(now, temperature, sensor, self._throttled(), synchronized, fans)
+            flags = tuple(self._sysfs.glob("devices/platform/soc*/*firmware/get_throttled"))
+            self._slow = _Slow(now, temperature, sensor, flags, synchronized, fans)
         return self._slow
 
     @staticmethod
@@ -190,20 +193,6 @@ class Host:
         texts = (_line(file) for file in files)
         return tuple(int(text) for text in texts if text is not None and re.fullmatch(r"\d{1,6}", text))
 
-    def _throttled(self) -> tuple[str, ...] | None:
-        """A Raspberry Pi's reasons for throttling; None on other machines."""
-        for file in self._sysfs.glob("devices/platform/soc*/*firmware/get_throttled"):
-            text = _line(file)
-            if text is None or not re.fullmatch(r"(0x)?[0-9a-fA-F]+", text):
-                continue
-            bits = int(text, 16)
-            now = [f"{word} now" for bit, word in _THROTTLED if bits >> bit & 1]
-            earlier = [
-                f"{word} since boot" for bit, word in _THROTTLED if bits >> (bit + 16) & 1 and not bits >> bit & 1
-            ]
-            return (*now, *earlier)
-        return None
-
     def _step(self) -> float:
         """How far UTC moved against the monotonic clock since the last reading, in seconds."""
         stamp = self._clock.stamp()
@@ -211,6 +200,19 @@ class Host:
         step = 0.0 if self._offset is None else offset - self._offset
         self._offset = offset
         return step
+
+
+def _throttled(files: Iterable[Path]) -> tuple[str, ...] | None:
+    """A Raspberry Pi's reasons for throttling; None on other machines."""
+    for file in files:
+        text = _line(file)
+        if text is None or not re.fullmatch(r"(0x)?[0-9a-fA-F]+", text):
+            continue
+        bits = int(text, 16)
+        now = [f"{word} now" for bit, word in _THROTTLED if bits >> bit & 1]
+        earlier = [f"{word} earlier" for bit, word in _THROTTLED if bits >> (bit + 16) & 1 and not bits >> bit & 1]
+        return (*now, *earlier)
+    return None
 
 
 def _line(file: Path) -> str | None:

@@ -66,6 +66,8 @@ class LinkStats:
             tx_s=rate(old.bytes_out, new.bytes_out),
             frames_s=rate(old.frames, new.frames),
             bad_s=rate(old.bad, new.bad),
+            frame_bytes_s=rate(old.frame_bytes, new.frame_bytes),
+            verified_s=rate(old.verified, new.verified),
             senders=self._senders(now, new),
             line=_line(old.line, new.line, span_s),
         )

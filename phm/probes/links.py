@@ -75,6 +75,13 @@ class Links:
         hub.watch(self._sample)
         self._shown = self._picture()
 
+    def resume(self, before: Links) -> None:
+        """Go on with what the predecessor has received on the same endpoints (after a reload, which never changes them): else a sender
+        that is lost would seem to be one that was never there."""
+        with before._lock, self._lock:
+            self._pilots_gcs, self._any_gcs, self._unreached = before._pilots_gcs, before._any_gcs, before._unreached
+            self._pilot, self._radios, self._flows = before._pilot, before._radios, before._flows
+
     # ------------------------------------------------------------ queries of checks
 
     def gcs_age_s(self) -> float | None:

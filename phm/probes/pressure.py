@@ -54,7 +54,7 @@ class Pressure:
         self._root = Path(settings.cgroups)
         self._entries = {entry.key: _Entry() for entry in containers}
         self._sampler = StallSampler(clock)
-        self._consumers = TopConsumers(engine, self._root, clock, self._known)
+        self._consumers = TopConsumers(engine, self._root, clock, self._known, groups=self._groups)
 
     def container(self, name: str) -> PressureFact | None:
         entry = self._entries.get(name)
@@ -77,6 +77,10 @@ class Pressure:
 
     def _known(self) -> dict[str, str]:
         return {entry.id: key for key, entry in self._entries.items() if entry.id}
+
+    def _groups(self) -> list[cgroups.Cgroup]:
+        found = [entry.newest for entry in self._entries.values()]
+        return [newest[1] for newest in found if newest is not None]
 
     def _by_files(self, entry: _Entry) -> PressureFact | None:
         """While its cgroup exists the engine is not asked: it may be starved too."""

@@ -53,6 +53,7 @@ class SwarmMonitor:
         self._signed = link_settings.signing.key is not None and link_settings.signing.unsigned != "all"
         self._agents = len({*expected, self._own})
         """Number of agents that share the links, including this one."""
+        self._expected = tuple(expected)
         self._peers = Peers(self._own, self._period_s(self._agents), expected, clock.late_s)
         self._agent_count = SmoothedAgentCount(self._agents, clock.mono())
         self._election = LeaderElection()
@@ -67,6 +68,15 @@ class SwarmMonitor:
         hub.set_agent_count(self._agents)
         hub.listen(self._receive, (mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_TUNNEL))
         hub.watch(self.wake_if_changed)
+
+    def resume(self, before: SwarmMonitor) -> None:
+        """Go on with the agents that the predecessor has received, if the same ones are expected (after a reload): else one that is lost
+        would seem to be one that was never there."""
+        if self._expected != before._expected:
+            return
+        with before._lock, self._lock:
+            self._peers, self._links, self._since = before._peers, before._links, before._since
+            self._agent_count, self._fresh = before._agent_count, (0.0, None)
 
     def snapshot(self) -> SwarmFact:
         """The current fact, cached until a frame brings a change or it is FRESH_S old (in a small swarm a tenth of the

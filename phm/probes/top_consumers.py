@@ -35,7 +35,8 @@ _Reading = tuple[float, float]
 
 
 class TopConsumers:
-    """Thread-safe. `known` returns the keys of configured containers by their full ids."""
+    """Thread-safe. `known` returns the keys of configured containers by their full ids, `groups` the cgroups of those that
+    were found."""
 
     def __init__(
         self,
@@ -44,7 +45,9 @@ class TopConsumers:
         clock: Clock,
         known: Callable[[], Mapping[str, str]],
         proc: Path = Path("/proc"),
+        groups: Callable[[], Sequence[cgroups.Cgroup]] = tuple,
     ) -> None:
+        self._groups = groups
         self._engine, self._root, self._clock, self._known = engine, root, clock, known
         self._stat = str(proc / "stat")
         self._lock = threading.Lock()
@@ -64,7 +67,8 @@ class TopConsumers:
             now = self._clock.mono()
             if now - self._read_at < (LEAST_S if self._cheap else ENGINE_LEAST_S):
                 return self._last
-            used, every = {each: (now, spent) for each, spent in cgroups.used_by_all(self._root).items()}, True
+            by_files = cgroups.used_by_all(self._root, self._groups())
+            used, every = {each: (now, spent) for each, spent in by_files.items()}, True
             self._cheap = bool(used)
             if not used:
                 used, every = self._by_engine()

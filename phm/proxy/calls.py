@@ -25,7 +25,8 @@ STATISTICS = r"/stats\?stream=False&one-shot=True"
 _ID_PREFIX = re.compile(r"[0-9a-f]{1,64}")
 _ALIAS = r'"[A-Za-z0-9][A-Za-z0-9_.-]*"'
 _ALIASES = rf'"Aliases": \[{_ALIAS}(?:, {_ALIAS})*\]'
-_ADDRESS = r'"IPAMConfig": \{"IPv[46]Address": "[0-9A-Fa-f.:]+"\}'
+_IPV4, _IPV6 = r'"IPv4Address": "[0-9.]+"', r'"IPv6Address": "[0-9A-Fa-f.:]+"'
+_ADDRESS = rf'"IPAMConfig": \{{(?:{_IPV4}|{_IPV6}|{_IPV4}, {_IPV6})\}}'
 _ENDPOINT = rf"\{{(?:{_ALIASES}|{_ADDRESS}|{_ALIASES}, {_ADDRESS})?\}}"
 
 

@@ -141,14 +141,22 @@ def _no_lock(key: str, fault: Fault, action: str, at_most_s: float) -> AbstractC
     return nullcontext()
 
 
+MAX_SHARES, MAX_WEIGHT = 262144, 10000
+"""The largest CPU weights of the kernel, on cgroup v1 and v2."""
+
+
 @dataclass(frozen=True, slots=True)
 class LoweredWeight:
-    """One container whose CPU weight was `shares` before PHM lowered it because of unit `unit`. id: the engine's."""
+    """One container whose CPU weight was `shares` before PHM lowered it because of unit `unit`. id: the engine's.
+
+    weight: the kernel's weight on cgroup v2 if the container had no shares; 0: it had, or the weight is not known.
+    """
 
     key: str
     id: str
     shares: int
     unit: str
+    weight: int = 0
 
 
 class CpuRelief(Protocol):
@@ -189,6 +197,8 @@ class ActionContext:
     container:  the engine's view of a configured container now, or None when there is none.
     own_container: PHM's own container, or None when it runs on the host.
     last_attachment: how a container was attached to a network when that was last observed.
+    own_attachment: the same for PHM's own container.
+    reachable:  whether an address responds now, to one ping. Raises CannotTell.
     listed_nodes: ROS nodes in the graph now, with how often each is listed. Raises CannotTell.
     link:       the MAVLink endpoint of this name now, or None when there is none.
     autopilot:  the vehicle's autopilot now, or None when it was never received.
@@ -207,6 +217,8 @@ class ActionContext:
     container: Callable[[str], ContainerFact | None]
     own_container: Callable[[], ContainerFact | None]
     last_attachment: Callable[[str, str], Attachment | None]
+    own_attachment: Callable[[str], Attachment | None] = lambda network: None
+    reachable: Callable[[str], bool] = lambda address: False
     listed_nodes: Callable[[], Mapping[str, int]] = _no_graph
     link: Callable[[str], LinkFact | None] = _no_link_fact
     autopilot: Callable[[], AutopilotFact | None] = _no_autopilot

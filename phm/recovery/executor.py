@@ -211,6 +211,12 @@ class Executor:
             windows=self.holds.done(),
         )
 
+    def in_progress(self) -> dict[str, str]:
+        """The action by target that is under way, or that an operator has requested without a fault; any thread may ask."""
+        with self._lock:
+            workers = dict(self._workers)
+        return {target: action for target, worker in workers.items() if (action := worker.in_progress())}
+
     # ------------------------------------------------------------ requests of an operator
 
     def approve(self, fault_id: str) -> str:

@@ -90,11 +90,13 @@ class PersistedCase:
     """What recovery knows of one open fault. `reported` is what was published about it, so that it is not published twice.
 
     approved: the action that an operator has approved and that was not begun; empty: none.
+    advised: the action that waits for an approval; empty: none.
     """
 
     refused: bool = False
     reported: tuple[str, ...] = ()
     approved: str = ""
+    advised: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +118,8 @@ class FaultCase:
     """Generation of the container (`Generation.name`): nothing is done in another one before the fault was found there,
     too. Empty: any."""
     reported: set[str] = field(default_factory=set)
+    advised: str = ""
+    """The action that was advised last and is not approved."""
     refused: bool = False
     approval: Approval | None = None
     """An operator's approval of one action. A restart of PHM ends it."""
@@ -139,7 +143,7 @@ class FaultCase:
     def persisted(self) -> PersistedCase:
         """For the state file."""
         approved = self.approval.situation.action if self.approval is not None else ""
-        return PersistedCase(self.refused, tuple(sorted(self.reported)[:MAX_REPORTED]), approved)
+        return PersistedCase(self.refused, tuple(sorted(self.reported)[:MAX_REPORTED]), approved, self.advised)
 
     def update_fault(self, fault: Fault) -> None:
         """The condition may have changed, and with it the actions that apply."""
@@ -167,7 +171,14 @@ class FaultCases:
 
     def restore(self, fault: Fault, known: PersistedCase, recheck_from: float, *, interrupted: bool) -> FaultCase:
         """The case of a fault of an earlier run of PHM."""
-        case = FaultCase(fault, set(known.reported), known.refused, recheck_from=recheck_from, interrupted=interrupted)
+        case = FaultCase(
+            fault,
+            set(known.reported),
+            known.advised,
+            known.refused,
+            recheck_from=recheck_from,
+            interrupted=interrupted,
+        )
         with self._lock:
             self._of[fault.unit] = case
         return case
@@ -215,6 +226,8 @@ class ActionReporter:
         step = f"{phase.value} {action}"
         if step not in case.reported:
             case.reported.add(step)
+            if phase is Phase.ADVISED:
+                case.advised = action
             self.report(case.fault, action, phase, detail)
 
 

@@ -42,6 +42,7 @@ LADDERS: Mapping[str, tuple[str, ...]] = {
 }
 """Built-in ladders by condition. Conditions that are not listed are only reported: `restarting` because the engine's
 own restart policy is at work, `dead` because the engine refuses to restart what it could not remove,
+`not_started` because the container's creator has a minute to start it,
 `not_received` because a restart does not open a transport that was never open."""
 _DATA = frozenset({"data_frozen", "data_stamp", "data_gaps", "data_range"})
 _TOPIC = frozenset({"topic_silent", "rate_low", "publisher_lost", "subscriber_lost", "qos_mismatch"}) | _DATA
@@ -81,3 +82,6 @@ namespace, a publisher that was created again, a second node started by an opera
 receive, or one of them, a source that repeats old data, a wrong clock on another computer, a node that was deactivated. Where the
 unit was OK in this generation, a restart restores what the start had, and is tried once; where it never was, nothing is done. A
 user's own ladder is used unchanged."""
+ONLY_IF_REACHED_BEFORE = frozenset({"address_silent"})
+"""Conditions that may say nothing about the container: PHM may not reach its network, e.g. that of a rootless engine. Where the unit
+was never OK in this generation, nor the address reached in this run of PHM, nothing is done. A user's own ladder is used unchanged."""

@@ -35,12 +35,15 @@ from phm.recovery.ladders import (
     GENTLE,
     LEARNED,
     ONLY_IF_OK_BEFORE,
+    ONLY_IF_REACHED_BEFORE,
     PATIENT,
 )
 from phm.recovery.safety.armed_state import ArmedStatus
 from phm.recovery.safety.flight_critical import FlightCriticalGuard
 
 STARVED, START = "starved", "start"
+PAUSED = "paused"
+"""Condition of a container whose processes are frozen."""
 PAUSES = 2.0
 """PHM waits this many times the longest pause after which a topic came back."""
 OK_AFTER_START_S, OK_AFTER_FOUND_S = 2.0, 5.0
@@ -69,11 +72,11 @@ class ActionRules:
     armed: Callable[[], ArmedStatus]
     guard: FlightCriticalGuard | None
 
-    def hold_status(self, target: str, now: float, *, ended: bool = False) -> HoldStatus:
-        """What keeps recovery from the target on request; mostly nothing was requested. ended: as of `HoldRegistry.status`."""
-        if not ended and self.holds.concerned.isdisjoint((ALL, target)):
+    def hold_status(self, target: str, now: float, *, ended: bool = False, paused: bool = False) -> HoldStatus:
+        """What keeps recovery from the target on request; mostly nothing was requested. ended, paused: as of `HoldRegistry.status`."""
+        if not (ended or paused) and self.holds.concerned.isdisjoint((ALL, target)):
             return NOTHING_REQUESTED
-        return self.holds.status(target, now, ended=ended)
+        return self.holds.status(target, now, ended=ended, paused=paused)
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +152,7 @@ def decide(
     usable: the actions that apply to this fault; other steps are left out. None: all.
     hold: until when (monotonic seconds) the container is on hold, and why; None: it is not.
     undecided: when it is decided whether an operator is stopping the container (monotonic seconds); None: it is decided.
-    stopped_by_hand: an operator stopped the container, and then PHM only advises (`recovery.on_manual_stop`).
+    stopped_by_hand: an operator stopped or paused the container, and then PHM only advises (`recovery.on_manual_stop`).
     start_s: how long the parts of a container may take to start (`ros.grace`).
     container_wide: actions on the entire container: one that did not help one fault is not repeated for another.
     starved: the pressure unit that explains the condition; empty: none does.
@@ -162,7 +165,7 @@ def decide(
     failures = Failures(history, fault, now, settings.verify)
     same = failures.of_the_unit()
     if _never_ok(fault, settings, start_s) and not same and not failures.tried:
-        return Skip("it was never OK since its container started, so a restart would not help")
+        return Skip("it was never OK since its container started, so an action would not help")
     if given_up and START not in ladder:
         return Skip("only a start is tried again after recovery has given up")
     alone = given_up or (condition in DOWN and START in ladder and len(failures.recent(settings)) >= settings.budget)
@@ -202,7 +205,8 @@ def decide(
 def _only_advised(condition: str, settings: RecoverySettings, *, stopped_by_hand: bool) -> str:
     """Why the action is only recommended; empty: it is carried out."""
     if stopped_by_hand:
-        return "it was stopped by hand, recovery.on_manual_stop is advise"
+        done = "paused" if condition == PAUSED else "stopped"
+        return f"it was {done} by hand, recovery.on_manual_stop is advise"
     if condition in ADVISED and condition not in settings.ladders:
         return "the topic still has data, and the cause may be outside of the container"
     return "recovery only advises" if settings.mode == "advise" else ""
@@ -276,8 +280,10 @@ def _once(condition: str, settings: RecoverySettings) -> bool:
 
 
 def _never_ok(fault: Fault, settings: RecoverySettings, start_s: float) -> bool:
-    """Whether the unit must have been OK in this generation for a restart to help, and was not."""
-    if not _once(fault.result.condition, settings):
+    """Whether the unit must have been OK in this generation for an action to help, and was not."""
+    condition = fault.result.condition
+    reached = condition in ONLY_IF_REACHED_BEFORE and condition not in settings.ladders
+    if not (reached or _once(condition, settings)):
         return False
     least_s = start_s + OK_AFTER_START_S if fault.start_seen else OK_AFTER_FOUND_S
     known = fault.result.evidence.never_ok

@@ -30,7 +30,7 @@ from phm.recovery.fault_cases import (
 from phm.recovery.operator.approval import NotApprovable
 from phm.recovery.operator.requests import RESTART, OperatorRequests
 from phm.recovery.ownership import Shared
-from phm.recovery.policy import Act, ActionRules, Advise, Decision, GiveUp, Wait, decide
+from phm.recovery.policy import PAUSED, Act, ActionRules, Advise, Decision, GiveUp, Wait, decide
 
 logger = logging.getLogger(__name__)
 
@@ -43,7 +43,9 @@ INTERRUPTED_S = 20.0
 MISSING_S = 1.0
 """While something that an action needs is missing, PHM checks for it this often; usually an event comes first."""
 ENDED = "exited"
-"""The condition of a container that an operator may have stopped."""
+"""The condition of a container that an operator may have stopped; for one that may have been paused see `PAUSED`."""
+NOT_STARTED = "not_started"
+"""The condition of a container that was created and waits for its first start (`phm_checks.container`)."""
 ENGINE, CONTAINER, ENGINE_DOWN = "engine", "container/", "engine_down"
 """The unit of the Docker Engine, units of containers, and the condition of an engine that does not respond."""
 GENERATION_S = 2.0
@@ -117,7 +119,7 @@ class TargetWorker:
         recheck_from = self._clock.mono() + grace_s
         mine = self._cases.restore(fault, case, recheck_from, interrupted=interrupted is not None)
         if case.approved:
-            self._operator().approvals.expire(mine, case.approved, "PHM has been restarted")
+            self._operator().approvals.expire(mine, case.approved, "PHM has been restarted or reloaded")
         if interrupted is not None:
             at_most_s = grace_s + INTERRUPTED_S
             self._locks.begin_action(self._name, mine, fault.unit, interrupted.attempt.action, at_most_s)
@@ -126,6 +128,13 @@ class TargetWorker:
     def persisted(self) -> tuple[dict[str, PersistedCase], UnfinishedAction | None]:
         """For the state file: the cases by fault id, and the action under way."""
         return self._cases.persisted(), self._under_way
+
+    def in_progress(self) -> str:
+        """The action under way, or requested by an operator without a fault; empty: none."""
+        under_way, requests = self._under_way, self._requests
+        if under_way is not None:
+            return under_way.attempt.action
+        return RESTART if requests is not None and requests.pending else ""
 
     # ------------------------------------------------------------ requests of an operator
 
@@ -262,7 +271,8 @@ class TargetWorker:
 
     def _decide(self, fault: Fault, *, approved: bool, given_up: bool = False) -> Decision:
         now, rules = self._clock.stamp(), self._rules
-        status = rules.hold_status(self._name, now.mono, ended=fault.result.condition == ENDED)
+        condition = fault.result.condition
+        status = rules.hold_status(self._name, now.mono, ended=condition == ENDED, paused=condition == PAUSED)
         return decide(
             fault,
             self._history,
@@ -329,7 +339,7 @@ class TargetWorker:
             case.recheck_after(self._clock.mono() + self._grace_s(fault.unit))
             return POLL_S
         case.engine_was_down = bool(away)
-        missing = away or attempt.waits_for()
+        missing = away or self._waits_for_start() or attempt.waits_for()
         if away:
             # An engine that was suspended answers again without an event, and its check has a long period.
             self._pipeline.recheck(ENGINE, f"{CONTAINER}{self._name}")
@@ -361,6 +371,11 @@ class TargetWorker:
             return "the Docker Engine does not respond"
         without = own is not None and own.level is Level.ERROR and own.evidence.conclusive
         return "the Docker Engine does not report its state" if without else ""
+
+    def _waits_for_start(self) -> str:
+        """Why no action may start the container, as a sentence; empty: it has been started, or nothing is known."""
+        own = self._pipeline.newest(f"{CONTAINER}{self._name}")
+        return own.summary if own is not None and own.condition == NOT_STARTED else ""
 
     def _carry_out(self, case: FaultCase, act: Act, attempt: Attempt, record: AttemptRecord) -> None:
         worked, before = False, self._generations.current(self._name)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
 from phm.core.clock import Clock
-from phm.core.model import Event, Fault, Result, UnitState
+from phm.core.model import ActionEvent, Event, Fault, Result, UnitState
 from phm.core.settings import (
     AgentSettings,
     FleetSettings,
@@ -100,6 +100,7 @@ class ReporterContext:
     swarm:  the other agents. armed: whether the autopilot is armed; None: unknown. autopilot: whether this agent's autopilot is received.
     holds: what is on hold, as in `phm status --json`.
     restored: faults that were open, and were reported, before PHM restarted.
+    requests: what was requested of the operator for such a fault, or one that recovery has given up on, and is not answered.
     links: what is received on the MAVLink endpoints. queues: how many events wait for each subscriber of the bus, and were dropped.
     machine_boot: id of this start of the machine, in which the monotonic clock goes on; empty: unknown.
     open_faults, given_up: the current faults, also of units that recovery has given up on and that have not been OK since.
@@ -113,6 +114,7 @@ class ReporterContext:
     health: Callable[[], dict[str, Any]]
     mavlink: MavlinkSender | None = None
     restored: tuple[Fault, ...] = ()
+    requests: tuple[ActionEvent, ...] = ()
     ros: DiagnosticsPublisher | None = None
     swarm: SwarmProbe | None = None
     autopilot: Callable[[], bool] | None = None

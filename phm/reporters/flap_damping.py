@@ -1,8 +1,10 @@
 """Flap damping: limits the lines about a unit that fails and recovers repeatedly. Pure.
 
-A unit with MANY reported changes within WITHIN_S is reported once more, as flapping, and then suppressed until it has not
-changed for CALM_S; then its state is reported again. Nothing is hidden meanwhile: the status word and the refresh show each
-change, and the log has all of them.
+A unit with MANY failures and recoveries within WITHIN_S is reported once more, as flapping, and then suppressed until it has
+neither failed nor recovered for CALM_S; then its state is reported again. A failure worse than those reported is sent even then.
+Nothing is hidden meanwhile: the status word and the refresh show each change, and the log has all of them.
+
+Changed texts of a failure that lasts do not count. After MANY of them the newest is sent every CALM_S.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from phm.core.rate_limiter import TokenBucket
 from phm.reporters.statustext import StatusTextLine
 from phm.wire.status_line import Severity
 
@@ -22,51 +25,82 @@ MAX_UNITS = 1000
 
 @dataclass(slots=True)
 class _Unit:
-    times: deque[float] = field(default_factory=lambda: deque(maxlen=MANY))
+    texts: TokenBucket
+    """How many changed texts of the same state may be sent now."""
+    changes: deque[tuple[float, Severity]] = field(default_factory=lambda: deque(maxlen=MANY))
+    severity: Severity | None = None
+    """Of the newest line, also if that was suppressed."""
+    worst: Severity = Severity.INFO
+    """Of the lines sent since it began to flap."""
     held: StatusTextLine | None = None
     """The newest suppressed line; None if there is none."""
-    holding: bool = False
-    changed: float = 0.0
+    flaps: bool = False
 
 
 class FlapDamper:
     """Passes or suppresses lines by their key. Not thread-safe."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, every_line: bool = False) -> None:
+        """every_line: each line is a failure or a recovery, also one with the severity of the line before."""
+        self._every_line = every_line
         self._units: dict[str, _Unit] = {}
 
     def filter(self, lines: Sequence[StatusTextLine], now: float, flapping: str) -> list[StatusTextLine]:
         """The lines to send now. flapping: the text of the line that is sent when suppression of a unit begins."""
-        passed: list[StatusTextLine] = []
-        for line in lines:
-            unit = self._unit(line.key)
-            unit.changed = now
-            if unit.holding:
-                unit.held = line
-                continue
-            unit.times.append(now)
-            if len(unit.times) == MANY and now - unit.times[0] <= WITHIN_S:
-                unit.holding, unit.held = True, line
-                passed.append(StatusTextLine(line.key, Severity.WARNING, flapping))
-            else:
-                passed.append(line)
-        return passed
+        return [passed for line in lines if (passed := self._pass(line, now, flapping)) is not None]
 
     def settled(self, now: float) -> list[StatusTextLine]:
-        """The lines to send about units that are stable again."""
+        """The lines to send about units that are stable again, and the texts that were held back for long enough."""
         passed = []
         for unit in self._units.values():
-            if unit.holding and now - unit.changed >= CALM_S:
-                unit.holding = False
-                unit.times.clear()
-                if unit.held is not None:
-                    passed.append(unit.held)
-                unit.held = None
+            if unit.flaps:
+                if now - unit.changes[-1][0] < CALM_S:
+                    continue
+                unit.flaps = False
+                unit.changes.clear()
+            elif unit.held is None or not _may_send_text(unit, now):
+                continue
+            if unit.held is not None:
+                passed.append(unit.held)
+            unit.held = None
         return passed
 
-    def _unit(self, key: str) -> _Unit:
-        unit = self._units.pop(key, None) or _Unit()
+    def _pass(self, line: StatusTextLine, now: float, flapping: str) -> StatusTextLine | None:
+        unit = self._unit(line.key, now)
+        before, unit.severity = unit.severity, line.severity
+        changed = self._every_line or line.severity != before
+        if changed:
+            unit.changes.append((now, line.severity))
+        if _suppressed(unit, line, now, changed=changed):
+            unit.held = line
+            return None
+        # A worsening is not replaced by a warning: suppression begins with the next line.
+        worse = before is not None and line.severity < before
+        if changed and not unit.flaps and not worse and _flaps(unit, now):
+            unit.flaps, unit.held = True, line
+            unit.worst = min(severity for _, severity in unit.changes)
+            return StatusTextLine(line.key, Severity.WARNING, flapping)
+        unit.held, unit.worst = None, line.severity
+        return line
+
+    def _unit(self, key: str, now: float) -> _Unit:
+        unit = self._units.pop(key, None) or _Unit(TokenBucket(MANY, now))
         self._units[key] = unit
         if len(self._units) > MAX_UNITS:
             del self._units[next(iter(self._units))]
         return unit
+
+
+def _suppressed(unit: _Unit, line: StatusTextLine, now: float, *, changed: bool) -> bool:
+    if unit.flaps:
+        return line.severity >= unit.worst
+    return not changed and not _may_send_text(unit, now)
+
+
+def _flaps(unit: _Unit, now: float) -> bool:
+    return len(unit.changes) == MANY and now - unit.changes[0][0] <= WITHIN_S
+
+
+def _may_send_text(unit: _Unit, now: float) -> bool:
+    unit.texts.refill(now, 1 / CALM_S, MANY)
+    return unit.texts.take()

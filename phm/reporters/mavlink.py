@@ -24,6 +24,7 @@ from phm.reporters.base import MavlinkSender, Reporter, ReporterContext
 from phm.reporters.flap_damping import FlapDamper
 from phm.reporters.gcs_presence import GcsPresence
 from phm.reporters.statustext import StatusTextBuilder, StatusTextLine
+from phm.reporters.swarm import MISSED_HEARTBEATS
 from phm.transport.dialect import mavlink
 from phm.transport.priority import default_periods
 from phm.wire import status_line, status_word
@@ -52,12 +53,17 @@ class MavlinkReporter(Reporter):
         now = context.clock.mono()
         self._builder, self._damper = StatusTextBuilder(self._agent, context.settings.approval_s), FlapDamper()
         open_before = {fault.unit for fault in context.restored}
-        self._builder.restore_reported([state for state in context.states() if state.unit in open_before])
+        states = {state.unit: state for state in context.states()}
+        self._builder.restore_reported([state for unit, state in states.items() if unit in open_before])
+        for request in context.requests:
+            self._builder.action(request, states)  # its line is sent to each ground station that appears
         self._heartbeat_at = now
         self._refresh_at: float | None = None
         self._again: tuple[float, ...] = ()
         self._full_at: float | None = None
         self._last_full = float("-inf")
+        self._left_to_leader: dict[str, tuple[StatusTextLine, float]] = {}
+        """By key, the newest line about another agent that only the leader sends, and when."""
         self._stations = GcsPresence(self._agent, self._settings.gcs_timeout)
         port.listen(self._receive, (mavlink.MAVLINK_MSG_ID_HEARTBEAT,))
 
@@ -82,6 +88,7 @@ class MavlinkReporter(Reporter):
         """Send heartbeat, refresh and the full state when due, while the check scheduler runs."""
         now = self._context.clock.mono()
         self._say(self._damper.settled(now))
+        self._take_over(now)
         by_size_s = default_periods(self._port.agents)
         if self._context.alive():
             if now >= self._heartbeat_at:
@@ -133,10 +140,24 @@ class MavlinkReporter(Reporter):
         swarm = self._context.swarm
         return swarm is None or swarm.snapshot().leader == self._agent
 
+    def _take_over(self, now: float) -> None:
+        """As the new leader, send what the last one may not have sent before it or its radio failed; the rest would be a
+        repetition.
+        """
+        heartbeat_s = self._settings.heartbeat or default_periods(self._port.agents)[0]
+        missed_s = max(MISSED_HEARTBEATS * heartbeat_s, self._settings.gcs_timeout + heartbeat_s)
+        recent = {key: (line, at) for key, (line, at) in self._left_to_leader.items() if now - at <= missed_s}
+        self._left_to_leader = recent
+        if recent and self._leads():
+            self._say([line for line, _ in recent.values()])
+
     def _say(self, lines: list[StatusTextLine]) -> None:
         for line in lines:
-            if line.key.startswith(PEERS) and not self._leads():
-                continue
+            if line.key.startswith(PEERS):
+                if not self._leads():
+                    self._left_to_leader[line.key] = (line, self._context.clock.mono())
+                    continue
+                self._left_to_leader.pop(line.key, None)
             message = mavlink.MAVLink_statustext_message(int(line.severity), line.text.encode("ascii"))
             self._port.send(message, line.kind, key=line.key, urgency=int(line.severity))
 

@@ -49,7 +49,7 @@ class SwarmReporter(Reporter):
         self._sent_line, self._line_at = "", float("-inf")
         self._relayed: dict[int, tuple[object, float]] = {}
         """The report sent for each agent that cannot reach the ground, by this or another leader, and when it became so."""
-        self._spoke, self._damper = False, FlapDamper()
+        self._spoke, self._damper = False, FlapDamper(every_line=True)
         self._stations = GcsPresence(self._agent, self._settings.gcs_timeout)
         self._appeared = threading.Event()
         port.listen(self._receive, (mavlink.MAVLINK_MSG_ID_HEARTBEAT,))

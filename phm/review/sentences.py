@@ -50,7 +50,8 @@ def _what(document: Json) -> str:
     window, agents = document["window"], vehicles(document)
     which = f"Flight {window['flight']}" if window["flight"] else "The record"
     flown = "" if window["flight"] else f" and {_count(len(document['flights']), 'flight')}"
-    when = f"from {clock_text(window['begin'])[:19]} to {clock_text(window['end'])[11:19]} UTC"
+    begin, end = clock_text(window["begin"])[:19], clock_text(window["end"])[:19]
+    when = f"from {begin} to {end[11:] if end[:10] == begin[:10] else end} UTC"
     return f"{which} lasted {length(window['duration_s'])}, {when}, with {_count(len(agents), 'agent')}{flown}."
 
 

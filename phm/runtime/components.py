@@ -10,11 +10,13 @@ from __future__ import annotations
 import uuid
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from phm.checking import registry
+from phm.checking.check_turns import CheckRun
 from phm.checking.pipeline import Pipeline
 from phm.checking.plan import CheckPlan, build_plan
-from phm.checking.scheduler import CheckRun, CheckScheduler
+from phm.checking.scheduler import CheckScheduler
 from phm.commands.control_server import ControlServer
 from phm.commands.handler import CommandHandler
 from phm.commands.mavlink_commands import MavlinkCommands
@@ -24,6 +26,7 @@ from phm.core.clock import Clock
 from phm.core.settings import Settings
 from phm.core.watchdog import DaemonWatchdog
 from phm.facts import SelfFact
+from phm.probes import cgroups
 from phm.probes.docker_event import DockerEvent
 from phm.recovery.actions.cpu_weights import CpuWeights
 from phm.recovery.base import Action, ActionContext
@@ -139,7 +142,10 @@ class Components:
             self.armed.now, docker.container, self._acting_on, self.probes.event_stream, self.probes.engine.inspect
         )
         self.holds = HoldService(settings.recovery, settings.containers, held, pipeline, self.bus.publish, clock, world)
-        self.relief = CpuWeights(self.probes.engine, docker.container, pipeline, clock)
+        cgroup_root = Path(settings.pressure.cgroups)
+        self.relief = CpuWeights(
+            self.probes.engine, docker.container, pipeline, clock, lambda fact: cgroups.cpu_weight(cgroup_root, fact)
+        )
         self.may_relieve = bool(settings.recovery.relieve)
         self.memory = PersistenceService(
             settings.state_dir, settings.recovery.window, pipeline, self.bus, clock, self.armed
@@ -150,6 +156,8 @@ class Components:
             docker.container,
             docker.own_container,
             self.probes.remembered,
+            self.probes.docker.own_remembered,
+            docker.reachable,
             listed_nodes=lambda: self.probes.world.ros.snapshot().nodes,
             link=self.probes.link,
             autopilot=self.probes.world.links.autopilot,

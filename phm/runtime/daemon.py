@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import math
 import threading
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -58,8 +59,8 @@ class Daemon:
         parts.memory.restore(previous._hand_over() if previous is not None else None)
         if previous is not None:
             self._resume_probes(previous)
-        restored = parts.pipeline.open_faults()
-        parts.reporters.start(dataclasses.replace(parts.reporter_context, restored=restored))
+        restored, requests = parts.pipeline.open_faults(), parts.memory.requests()
+        parts.reporters.start(dataclasses.replace(parts.reporter_context, restored=restored, requests=requests))
         self._start_recovery()
         parts.control.execute = parts.handler.execute
         if previous is None:
@@ -73,8 +74,10 @@ class Daemon:
         parts.loop.start()
 
     def _resume_probes(self, previous: Daemon) -> None:
-        """Keep what cannot be read again: where logs were, and how containers that are disconnected now were connected."""
+        """Keep what cannot be read again: where logs were, how containers that are disconnected now were connected, and who has sent on
+        the links."""
         parts, before = self.components, previous.components
+        parts.probes.resume_links(before.probes)
         if previous._logs is not None:
             parts.probes.logs.resume(previous._logs)
         # A key may be that of another container now.
@@ -128,10 +131,17 @@ class Daemon:
         """PHM was stopped (SIGSTOP) and continues: run the main loop now."""
         self.components.loop.wake()
 
-    def action_in_progress(self) -> str:
-        """The recovery actions in progress; empty: none."""
-        acts = self.components.executor.persisted().under_way
-        return ", ".join(f"{act.attempt.action} of {target}" for target, act in acts.items())
+    def why_not_reload(self) -> str:
+        """Why a reload must wait, as a sentence; empty: it need not. The next daemon would not know of these."""
+        busy = self.components.executor.in_progress()
+        if busy:
+            actions = ", ".join(f"{action} of {target}" for target, action in busy.items())
+            return f"an action is in progress ({actions}): reload again when it is finished"
+        stopping = self.components.holds.undecided()
+        if stopping:
+            again_s = math.ceil(max(stopping.values())) or 1
+            return f"an operator may be stopping {', '.join(stopping)}: reload again in {again_s} s"
+        return ""
 
     # ------------------------------------------------------------ stop
 

@@ -78,6 +78,8 @@ class ProbeSet:
     matcher: PatternMatcher
     programs: Programs
     logs: Logs
+    received: Links
+    agents: SwarmMonitor
     world: World
 
     def start(self, *, links: bool = True) -> None:
@@ -88,6 +90,11 @@ class ProbeSet:
             self.watch.start()
         if self.reachability is not None:
             self.reachability.start()
+
+    def resume_links(self, before: ProbeSet) -> None:
+        """Go on with what was received on the links, which stay open."""
+        self.received.resume(before.received)
+        self.agents.resume(before.agents)
 
     def event_stream(self) -> EventStreamFact:
         """State of Docker's event stream; complete when no container is configured."""
@@ -249,7 +256,21 @@ def build_probes(
     )
     used = hub if settings.mavlink.endpoints else None
     return ProbeSet(
-        engine, docker, watch, reachability, file_watcher, used, ros, sockets, serial, matcher, programs, logs, world
+        engine,
+        docker,
+        watch,
+        reachability,
+        file_watcher,
+        used,
+        ros,
+        sockets,
+        serial,
+        matcher,
+        programs,
+        logs,
+        links,
+        swarm,
+        world,
     )
 
 

@@ -116,10 +116,8 @@ class Reloader:
         changed = tuple(name for name in sections if name not in FIXED)
         if not changed:
             return daemon, ReloadOutcome(True, restart=restart)
-        if busy := daemon.action_in_progress():
-            return daemon, ReloadOutcome(
-                False, why=f"an action is in progress ({busy}): reload again when it is finished"
-            )
+        if why := daemon.why_not_reload():
+            return daemon, ReloadOutcome(False, why=why)
         usable = wanted.settings
         plan: CheckPlan | None = wanted.plan
         if restart:  # the checks of the file are those after the restart: others are built for what applies now

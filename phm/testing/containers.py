@@ -36,6 +36,7 @@ def container(name: str = "ros_app", **fields: Any) -> ContainerFact:
 class FakeDocker(Fake):
     """Containers by name, networks (name -> id), addresses that do not answer, and PHM's own container.
 
+    `drivers` holds the driver of each network, by its name; without an entry it is `bridge`.
     `lists` holds the processes of each container, by its name; without an entry the engine cannot tell them.
     """
 
@@ -49,6 +50,7 @@ class FakeDocker(Fake):
         super().__init__()
         self.containers = {fact.name: fact for fact in containers}
         self.networks = dict(networks or {})
+        self.drivers: dict[str, str] = {}
         self.me = me
         self.version = version
         self.silent: set[str] = set()
@@ -98,6 +100,10 @@ class FakeDocker(Fake):
     def network_id(self, name: str) -> str:
         self._asked()
         return self.networks.get(name, "")
+
+    def network_driver(self, name: str) -> str:
+        self._asked()
+        return self.drivers.get(name, "bridge" if name in self.networks else "")
 
     def reachable(self, address: str) -> bool:
         self._asked()

@@ -14,6 +14,11 @@ ITSELF = "itself"
 """`Fault.by` of a fault that no action of PHM ended."""
 CONFIGURATION = "configuration"
 """`Fault.by` of a fault whose unit is no longer configured."""
+TIMEOUT = "timeout"
+"""`Fault.by` of a restored fault whose subject was not observed for UNOBSERVED_S."""
+UNOBSERVED_S = 3600.0
+"""How long a restored fault stays open without an observation of its subject: longer than most flights. Not for good, because the
+subject may have been removed on purpose."""
 MOST_COUNTED = 10_000
 """A start of PHM after as many faults begins at 1 again: a line of the ground has 50 characters."""
 RESTORED = "restored after a restart of PHM"
@@ -44,13 +49,13 @@ class FaultRecords:
                     fault, slot=record.spec.slot, layer=record.spec.layer, node=record.spec.unit.node
                 )
                 record.conditions.add(fault.result.condition)
-                _restored(record, fault, fault.id)
+                _restored(record, fault, fault.id, now)
         for fault in given_up:
             record = self._view.units.get(fault.unit)
             if record is not None and record.fault is None:
                 record.escalated, record.given_up = True, fault
                 record.conditions.add(fault.result.condition)
-                _restored(record, fault, "")
+                _restored(record, fault, "", now)
         return effects
 
     def open(self, record: UnitRecord, result: Result, now: Stamp, effects: Effects) -> None:
@@ -129,6 +134,14 @@ def _present_ok_s(record: UnitRecord, now: Stamp) -> float:
     return now.mono - record.published.since.mono if record.published.level is Level.OK else 0.0
 
 
-def _restored(record: UnitRecord, fault: Fault, name: str) -> None:
+def as_unobserved(result: Result) -> Result:
+    """The result of a check that has observed nothing since PHM's start, for a unit with a restored fault."""
+    return replace(
+        result, level=Level.STALE, summary=f"not observed since PHM was restarted: {result.summary}", bypass=False
+    )
+
+
+def _restored(record: UnitRecord, fault: Fault, name: str, now: Stamp) -> None:
     result = replace(fault.result, level=Level.ERROR, summary=f"{RESTORED}: {fault.result.summary}")
     record.published = replace(record.published, level=Level.ERROR, result=result, since=fault.opened, fault=name)
+    record.reported, record.unobserved_until = True, now.mono + UNOBSERVED_S

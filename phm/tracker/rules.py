@@ -131,7 +131,11 @@ def blocked(context: RuleContext) -> Decision | None:
     undecided = context.record.fault is not None and (
         confirming or starvation.undecided(causing) or in_grace(causing, context.now) or _acted_on(context)
     )
-    return NO_CHANGE if undecided or cause == context.record.id else _blocked(context, cause)
+    if undecided or cause == context.record.id:
+        return NO_CHANGE
+    decision = _blocked(context, cause)
+    # If the cause turns out to be none, the wait goes on: else a cause that fails now and then would hide this result for good.
+    return replace(decision, pending=context.record.pending) if confirming else decision
 
 
 def starved(context: RuleContext) -> Decision | None:
@@ -178,10 +182,11 @@ def being_stopped(context: RuleContext) -> Decision | None:
 def grace(context: RuleContext) -> Decision | None:
     """8. A bad result during grace is `not known yet`, unless its evidence is certain.
 
-    Grace begins when PHM starts; after a recovery action, for the target and its dependents; after an ERROR, published or not,
-    for the dependents; and once per container start (`phm.tracker.start_dedup`), for the dependents. Results from before never
-    count. Grace ends early when the unit has been OK for GRACE_ENDS_AFTER_OK_S, or for its `memory_s` if longer. A container
-    that never becomes healthy is reported by its own check.
+    Grace begins when PHM starts; after a recovery action, for the target and its dependents; after an ERROR, for the dependents,
+    but after one that was never published only once until the dependent was OK; and once per container start
+    (`phm.tracker.start_dedup`), for the dependents. Results from before never count. Grace ends early when the unit has been OK
+    for GRACE_ENDS_AFTER_OK_S, or for its `memory_s` if longer. A container that never becomes healthy is reported by its own
+    check.
     """
     if not in_grace(context.record, context.now):
         return None
@@ -193,9 +198,9 @@ def confirmed(context: RuleContext) -> Decision:
 
     A bad result is published once it was bad `failures` times in a row, has lasted `settle_s` (of the result, else of the unit),
     and every dependency that can explain it (with `settle_s` also the unit) has a result of a run that began after that. Dependencies that are
-    STALE may be the cause, so they are waited for, for UNKNOWN_NEED_S at most; pressure units, too, for UNANSWERED_S, but one that is STALE
-    explains nothing, and of one that may soon explain it the result must be of a run that began WARN_WAIT_S later. Results from before a
-    dependency changed do not count.
+    STALE may be the cause, so they and their answers are waited for, for UNKNOWN_NEED_S at most: a check that hangs never answers.
+    Pressure units are waited for, too, for UNANSWERED_S, but one that is STALE explains nothing, and of one that may soon explain it
+    the result must be of a run that began WARN_WAIT_S later. Results from before a dependency changed do not count.
     """
     record, unit = context.record, context.record.spec.unit
     if record.published.level is context.result.level and not record.published.blocked_by and not record.new_condition:
@@ -209,11 +214,14 @@ def confirmed(context: RuleContext) -> Decision:
     if context.now < lasted:
         return Decision(pending=pending, rerun=rerun)
     witnesses = (record, *upstream) if settle_s > 0 else upstream
-    unanswered = frozenset(other.id for other in witnesses if other.started < lasted) | _unasked(context, lasted)
+    overdue = context.now - pending.since >= UNKNOWN_NEED_S
+    unanswered = frozenset(
+        other.id for other in witnesses if other.started < lasted and not (overdue and other.unknown)
+    ) | _unasked(context, lasted)
     if not pending.requested:
         pending, rerun = replace(pending, requested=True), rerun | unanswered
-    unknown = context.now - pending.since < UNKNOWN_NEED_S and any(other.unknown for other in upstream)
-    if any(other.published.since.mono > record.started for other in upstream):
+    unknown = not overdue and any(other.unknown for other in upstream)
+    if record.started < pending.again_from or any(other.published.since.mono > record.started for other in upstream):
         return Decision(pending=pending, rerun=rerun | {record.id})
     if unanswered or unknown or record.bad_in_a_row < record.spec.failures:
         return Decision(pending=pending, rerun=rerun)

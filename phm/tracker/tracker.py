@@ -8,7 +8,7 @@ from dataclasses import replace
 from phm.core.dependency_graph import DependencyGraph
 from phm.core.model import Fault, Level, Outcome, Result, Stamp, Transition, UnitState
 from phm.tracker import starvation
-from phm.tracker.faults import ITSELF, FaultRecords
+from phm.tracker.faults import ITSELF, TIMEOUT, FaultRecords, as_unobserved
 from phm.tracker.rules import GRACE_ENDS_AFTER_OK_S, as_unknown, decide, in_grace
 from phm.tracker.start_dedup import StartDedup, StartSeen
 from phm.tracker.units import NEVER, ActionInProgress, Effects, TargetHold, TrackedUnit, TrackerView, UnitRecord
@@ -175,10 +175,13 @@ class Tracker:
         record = self._units[unit]
         if started < record.started:
             return effects  # an overdue run that finished after a newer one
+        if result.evidence.unobserved and now.mono < record.unobserved_until:
+            result = as_unobserved(result)
         record.latest, record.started = result, started
         record.had_error = record.had_error or record.failing
         record.error_since = (started if record.error_since is None else record.error_since) if record.failing else None
         record.bad_in_a_row = record.bad_in_a_row + 1 if result.level.bad else 0
+        record.had_doubt = record.had_doubt and result.level is not Level.OK
         record.note_end(result)
         record.duration_s = duration_s
         if record.target and result.evidence.generation:
@@ -376,19 +379,21 @@ class Tracker:
 
     def _recovered(self, record: UnitRecord, result: Result, now: Stamp, effects: Effects) -> None:
         recovered = record.had_error or record.published.level is Level.ERROR or bool(record.published.blocked_by)
-        record.had_error = False
+        reported = record.reported
+        record.had_error = record.reported = False
         record.clear_given_up()
         if result.level is Level.OK:
             self._count_ok(record, now)
             self._publish(record, result, now, effects)
         if record.fault is not None:
-            by = record.ended_by or record.fault.by or ITSELF
+            by = TIMEOUT if result.evidence.unobserved else record.ended_by or record.fault.by or ITSELF
             self._faults.close(record, Outcome.RESOLVED, by, now, effects)
         if result.level is not Level.OK:  # another problem, reported after the end of the first
             self._publish(record, result, now, effects)
         if recovered:
             # Problems of its dependents meanwhile, published or not, may follow from it.
-            self._give_grace(self.graph.downstream(record.id), now, effects)
+            below = self.graph.downstream(record.id)
+            (self._give_grace if reported else self._give_grace_once)(below, now, effects)
 
     @staticmethod
     def _count_ok(record: UnitRecord, now: Stamp) -> None:
@@ -403,6 +408,7 @@ class Tracker:
         if result is not record.published.result:  # else it was published before, blocked by the same cause
             self._publish(record, result, now, effects, blocked_by=cause)
         causing = self._units[cause]
+        record.reported = record.reported or causing.published.level is Level.ERROR
         if causing.fault is not None and record.id not in causing.fault.blocks:
             causing.fault = replace(causing.fault, blocks=(*causing.fault.blocks, record.id))
 
@@ -457,8 +463,21 @@ class Tracker:
         for name in units:
             record = self._units[name]
             record.grant(now.mono, now.mono + record.spec.unit.grace_s)
+            record.had_doubt = False
             if record.latest is not None and record.latest.level is not Level.OK:
                 effects.rerun.add(name)
+
+    def _give_grace_once(self, units: Iterable[str], now: Stamp, effects: Effects) -> None:
+        """After a failure that was never published: no further grace until the unit was OK. Else a dependency that fails now and then
+        would hide it for good."""
+        for name in units:
+            record = self._units[name]
+            if record.had_doubt:
+                record.ask_again(now.mono)
+                effects.rerun.add(name)
+                continue
+            self._give_grace([name], now, effects)
+            record.had_doubt = record.latest is not None and record.latest.level is not Level.OK
 
     def _publish(self, record: UnitRecord, result: Result, now: Stamp, effects: Effects, blocked_by: str = "") -> None:
         old, level = record.published, result.level
@@ -467,6 +486,7 @@ class Tracker:
         since = now if changed else old.since
         before = record.fault or record.given_up
         if level is Level.ERROR:
+            record.reported = True
             self._faults.open(record, result, now, effects)
             self._withdraw_credit(record)
         if reworded or (level is Level.ERROR and before is not None and _basis(before.result) != _basis(result)):

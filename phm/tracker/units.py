@@ -68,6 +68,8 @@ class Pending:
     since: float
     requested: bool = False
     """The final runs of its dependencies have been requested."""
+    again_from: float = NEVER
+    """When a failure of a dependency last ended: a run that began later must find the unit bad."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,10 +104,16 @@ class UnitRecord:
     pending: Pending | None = None
     had_error: bool = False
     """It has been ERROR, published or not, since it was last OK: its dependents may have been affected."""
+    reported: bool = False
+    """That ERROR was published, or an ERROR of the unit that blocked it."""
     valid_from: float = NEVER
     """Bad results of runs that began earlier do not count."""
     grace_until: float = 0.0
     """End of grace: until then a bad result is published as `not known yet`."""
+    had_doubt: bool = False
+    """It got grace after a failure of a dependency that was never published, and has not been OK since."""
+    unobserved_until: float = NEVER
+    """A fault was restored: until then a result without an observation (`Evidence.unobserved`) is STALE, not OK."""
     ok_since: float | None = None
     container_started: float = NEVER
     """When its container was last observed to start."""
@@ -153,6 +161,13 @@ class UnitRecord:
         self.pending = self.ok_since = self.error_since = None
         self.bad_in_a_row, self.valid_from = 0, now
         self.grace_until = max(self.grace_until, until)
+
+    def ask_again(self, now: float) -> None:
+        """Bad results from before `now` no longer count; what waits for confirmation only needs a newer one."""
+        if self.pending is None:
+            self.valid_from = now
+        else:
+            self.pending = replace(self.pending, again_from=now)
 
     def update_condition(self, result: Result) -> None:
         """The problem has changed: update the fault that is open or was given up."""

@@ -22,7 +22,7 @@ class Resolver:
         self._host, self._port, self._kind, self._passive = host.strip("[]"), port, kind, passive
         self._done = threading.Event()
         self._running = False
-        self._found: Address | None = None
+        self._found: tuple[Address, ...] = ()
         self._problem = ""
         self._lock = threading.Lock()
 
@@ -48,26 +48,30 @@ class Resolver:
             return self._done
 
     def answer(self) -> Address:
-        """The newest address. Raises OSError with a sentence if the name was never resolved."""
+        """The first of `answers`."""
+        return self.answers()[0]
+
+    def answers(self) -> tuple[Address, ...]:
+        """The newest addresses, at least one, in the resolver's order. Raises OSError with a sentence if the name was never resolved."""
         with self._lock:
-            if self._found is None:
+            if not self._found:
                 raise OSError(
                     self._problem or f"the name {self._host} has not been found yet: the name server is silent"
                 )
             return self._found
 
-    def newest(self) -> Address | None:
-        """The result of the last successful look-up."""
+    def newest(self) -> tuple[Address, ...]:
+        """The result of the last successful look-up; empty if there was none."""
         with self._lock:
             return self._found
 
     def _look_up(self) -> None:
         flags = socket.AI_PASSIVE if self._passive else 0
-        found, problem = None, ""
+        found, problem = tuple[Address, ...](), ""
         try:
             answers = socket.getaddrinfo(self._host, self._port, type=self._kind, flags=flags)
-            found = (int(answers[0][0]), answers[0][4])
-        except (OSError, UnicodeError, IndexError) as error:
+            found = tuple((int(family), address) for family, _, _, _, address in answers)
+        except (OSError, UnicodeError) as error:
             problem = f"the name {self._host} is not known: {getattr(error, 'strerror', None) or error}"
         with self._lock:
             # A failing name server does not invalidate an earlier address.

@@ -174,9 +174,10 @@ class DockerEngine(DockerFiles):
         path, body = f"/networks/{quote(network, safe='')}/disconnect", docker_bodies.disconnect(container, force=force)
         self._act(lambda client: _post(client, path, body), f"disconnect {container} from {network}")
 
-    def connect(self, network: str, container: str, aliases: Sequence[str] = (), address: str = "") -> None:
-        """Connect a container to a network, with `aliases` and, if given, a fixed `address` (IPv4 or IPv6)."""
-        path, body = f"/networks/{quote(network, safe='')}/connect", docker_bodies.connect(container, aliases, address)
+    def connect(self, network: str, container: str, aliases: Sequence[str] = (), addresses: Sequence[str] = ()) -> None:
+        """Connect a container to a network, with `aliases` and fixed `addresses` (IPv4, IPv6 or both)."""
+        path = f"/networks/{quote(network, safe='')}/connect"
+        body = docker_bodies.connect(container, aliases, addresses)
         self._act(lambda client: _post(client, path, body), f"connect {container} to {network}")
 
     def exec_detached(self, container: str, argv: Sequence[str], user: str = "") -> None:

@@ -44,11 +44,11 @@ def disconnect(container: str, *, force: bool) -> str:
     return json.dumps({"Container": container, "Force": force})
 
 
-def connect(container: str, aliases: Sequence[str] = (), address: str = "") -> str:
-    """Connect a container to a network, with aliases and, if given, a fixed address (IPv4 or IPv6)."""
+def connect(container: str, aliases: Sequence[str] = (), addresses: Sequence[str] = ()) -> str:
+    """Connect a container to a network, with aliases and fixed addresses: one of IPv4, one of IPv6, or both in this order."""
     endpoint: dict[str, Any] = {"Aliases": list(aliases)} if aliases else {}
-    if address:
-        endpoint["IPAMConfig"] = {"IPv6Address" if ":" in address else "IPv4Address": address}
+    if addresses:
+        endpoint["IPAMConfig"] = {"IPv6Address" if ":" in each else "IPv4Address": each for each in addresses}
     return json.dumps({"Container": container, "EndpointConfig": endpoint})
 
 

@@ -42,6 +42,10 @@ class LinkCounters:
     bad: int = 0
     bytes_out: int = 0
     bytes_in: int = 0
+    frame_bytes: int = 0
+    """Of the frames in `received`."""
+    verified: int = 0
+    """The part of `received` whose checksum was computed."""
 
 
 class Codec:
@@ -95,7 +99,7 @@ class Codec:
 
 
 class Parser:
-    """Finds frames in one stream of bytes. No input raises; at most one incomplete frame is kept."""
+    """Finds frames in one stream of bytes. No input raises; at most one frame is kept."""
 
     def __init__(
         self, mav: Any, wanted: Wanted, counters: LinkCounters, senders: SenderTable, signer: Signer | None = None
@@ -108,17 +112,18 @@ class Parser:
 
     def datagram(self, data: bytes, *, verify: bool = False) -> list[Any]:
         """Like `feed`; a frame never continues in the next datagram, and it ends after FALSE_FRAMES."""
-        messages = self.feed(data, verify=verify, false_frames=FALSE_FRAMES)
+        messages = self._parse(data, verify, FALSE_FRAMES, ends=True)
         if self._buffer:
             self._counters.bad += 1
             self._buffer.clear()
         return messages
 
-    def feed(self, data: bytes, *, verify: bool = False, false_frames: float = float("inf")) -> list[Any]:
-        """Messages that a listener wants. Others are skipped by their length, unless `verify` requests their checksum.
+    def feed(self, data: bytes, *, verify: bool = False) -> list[Any]:
+        """Messages that a listener wants. Others are skipped by their length, unless `verify` requests their checksum."""
+        return self._parse(data, verify, float("inf"), ends=False)
 
-        false_frames: stop after so many invalid frames, and keep the rest.
-        """
+    def _parse(self, data: bytes, verify: bool, false_frames: float, *, ends: bool) -> list[Any]:
+        """false_frames: stop after so many invalid frames, and keep the rest. ends: the last frame ends with the data."""
         self._buffer += data
         self._counters.bytes_in += len(data)
         messages, at, garbage = [], 0, False
@@ -126,12 +131,13 @@ class Parser:
             length = self._length(at)
             if length < 0 or len(self._buffer) - at < length:
                 break
-            good, message = self._judge(at, length, verify) if length else (False, None)
+            before = self.verified
+            good, message = self._judge(at, length, verify, ends) if length else (False, None)
+            if good is None:
+                break
             false_frames -= bool(length and not good)
             if good:
-                self._counters.received += 1
-                number, system, component = self._head(at)
-                self._senders.receive(system, component, number)
+                self._count(at, length, verified=self.verified > before)
                 if message is not None:
                     messages.append(message)
             elif not garbage:
@@ -140,6 +146,16 @@ class Parser:
             at = at + length if good else self._next_start(at + 1)
         del self._buffer[:at]
         return messages
+
+    def _count(self, at: int, length: int, *, verified: bool) -> None:
+        """Count an accepted frame."""
+        self._counters.received += 1
+        self._counters.frame_bytes += length
+        self._counters.verified += verified
+        number, system, component = self._head(at)
+        # Bytes that were read at a wrong speed contain frames by chance, each of another sender.
+        if verified or (system, component) in self._senders:
+            self._senders.receive(system, component, number)
 
     def _head(self, at: int) -> tuple[int, int, int]:
         """Sequence number, system and component of the frame that starts here."""
@@ -165,15 +181,19 @@ class Parser:
             return 0  # the standard requires dropping frames with unknown flags
         return self._buffer[at + 1] + 12 + (SIGNATURE_BYTES if flags & _SIGNED else 0)
 
-    def _judge(self, at: int, length: int, verify: bool) -> tuple[bool, Any]:
-        """Whether these bytes are a frame, and its message if a listener wants it."""
+    def _judge(self, at: int, length: int, verify: bool, ends: bool) -> tuple[bool | None, Any]:
+        """Whether these bytes are a frame (None: the next byte decides), and its message if a listener wants it."""
         frame = self._buffer[at : at + length]
         number = frame[5] if frame[0] == V1 else int.from_bytes(frame[7:10], "little")
         known, wanted = number in mavlink.mavlink_map, self._wanted(SAME.get(number, number))
-        if not known or not (verify or wanted):
-            # No checksum without the message's definition; a frame is accepted if another one follows it.
+        if not known or not (verify or wanted or self._head(at)[1:] not in self._senders):
+            # No checksum without the message's definition, nor for what only a known sender's count needs: such a frame is
+            # accepted if another one follows it.
             end = at + length
-            return end == len(self._buffer) or self._buffer[end] in _MARKERS, None
+            if end == len(self._buffer):
+                # A stream is read in pieces of any size: that one ends here proves nothing.
+                return (True if ends else None), None
+            return self._buffer[end] in _MARKERS, None
         try:
             message = self._mav.decode(frame)
         except Exception:  # pymavlink's decoders raise many exception types on hostile bytes

@@ -8,7 +8,7 @@ import os
 import socket
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from typing import Any
 
@@ -48,7 +48,7 @@ class ChannelOpener:
             self._resolver = Resolver(host, int(port), kind, passive=self._scheme.endswith("in"))
 
     def moved(self) -> bool:
-        """Whether the peer's name now has another address (its container was restarted), or the route begins at another
+        """Whether the peer's name no longer has the address in use (its container was restarted), or the route begins at another
         address of this machine (another interface is in use).
 
         It resolves the name in the background and returns the result of earlier look-ups. For `udpout` only: TCP
@@ -61,7 +61,8 @@ class ChannelOpener:
         if self._resolver.literal:
             return False
         self._resolver.ask()
-        return self._resolver.newest() not in (None, self._target)
+        newest = self._resolver.newest()
+        return bool(newest) and self._target not in newest
 
     def open(self) -> Channel:
         """A new channel. Raises OSError with a sentence for the log."""
@@ -76,16 +77,37 @@ class ChannelOpener:
         return makers[self._scheme]()
 
     def _address(self) -> Address:
+        return self._ipv4_first()[0]
+
+    def _ipv4_first(self) -> tuple[Address, ...]:
+        """UDP does not show that nothing listens at an address, and MAVLink programs listen on IPv4."""
+        return tuple(sorted(self._addresses(), key=lambda address: address[0] != socket.AF_INET))
+
+    def _addresses(self) -> tuple[Address, ...]:
         assert self._resolver is not None
         done = self._resolver.ask()
         end = self._clock.mono() + RESOLVE_LIMIT_S
         while not done.is_set() and not self._enough.is_set() and self._clock.mono() < end:
             done.wait(_SLICE_S)
-        self._target = self._resolver.answer()
-        return self._target
+        return self._resolver.answers()
 
     def _tcp(self) -> Channel:
-        family, target = self._address()
+        return self._first_open(self._addresses(), self._connect)
+
+    def _first_open(self, addresses: Iterable[Address], connect: Callable[[Address], Channel]) -> Channel:
+        """A channel to the first address that can be used. Raises the refusal if one refused, because its cause is clear."""
+        problems: list[OSError] = []
+        for address in addresses:
+            try:
+                return connect(address)
+            except OSError as error:
+                problems.append(error)
+            if self._enough.is_set():
+                break
+        raise min(problems, key=lambda problem: problem.errno != errno.ECONNREFUSED)
+
+    def _connect(self, address: Address) -> Channel:
+        family, target = address
         sock = socket.socket(family, socket.SOCK_STREAM)
         with _closed_on_failure(sock):
             tune(sock)
@@ -123,7 +145,11 @@ class ChannelOpener:
         return UdpIn(sock, self._codec, self._clock)
 
     def _udpout(self) -> Channel:
-        family, target = self._address()
+        return self._first_open(self._ipv4_first(), self._send_to)
+
+    def _send_to(self, address: Address) -> Channel:
+        self._target = address
+        family, target = address
         sock = socket.socket(family, socket.SOCK_DGRAM)
         with _closed_on_failure(sock):
             sock.setblocking(False)

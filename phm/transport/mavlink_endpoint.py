@@ -97,7 +97,14 @@ class Endpoint:
         """Bytes and frames since the endpoint was created, and what was received from each sender."""
         counters = self.codec.counters
         return Traffic(
-            counters.bytes_in, counters.bytes_out, counters.received, counters.bad, self.codec.senders.now(), self._line
+            counters.bytes_in,
+            counters.bytes_out,
+            counters.received,
+            counters.bad,
+            self.codec.senders.now(),
+            self._line,
+            counters.frame_bytes,
+            counters.verified,
         )
 
     def reopen(self, timeout_s: float) -> bool:

@@ -30,6 +30,9 @@ class SenderTable:
     def __init__(self) -> None:
         self._of: dict[tuple[int, int], SenderStats] = {}
 
+    def __contains__(self, sender: tuple[int, int]) -> bool:
+        return sender in self._of
+
     def receive(self, system: int, component: int, sequence: int) -> None:
         """Record a frame."""
         key = (system, component)
@@ -67,3 +70,7 @@ class Traffic:
     bad: int = 0
     senders: Mapping[tuple[int, int], tuple[int, int]] = field(default_factory=dict)
     line: SerialErrorCount | None = None
+    frame_bytes: int = 0
+    """Of the frames in `frames`."""
+    verified: int = 0
+    """The part of `frames` whose checksum was computed."""

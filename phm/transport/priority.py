@@ -2,7 +2,8 @@
 
 A 64 kbit/s SiK or RFD900 radio guarantees 3170 bytes per second in each direction, and PHM may use 5 % of it for the
 entire swarm. Each agent gets an equal share, saves up for a burst, and slows down when RADIO_STATUS reports that the
-radio's buffer fills. A fault must not wait for a refresh, so messages have priorities.
+radio's buffer fills. A fault must not wait for a refresh, so messages have priorities, and all but changes leave room in what
+was saved up.
 """
 
 from __future__ import annotations
@@ -20,13 +21,21 @@ SWARM_BYTES_S = RADIO_BYTES_S * SHARE
 BURST_S = 20.0
 BURST_MIN = 400.0
 """Bytes that an agent may always save up: the full state for a ground station that appears, in a swarm of any size."""
+LINE_ROOM = 80.0
+"""Bytes that everything but changes leaves for the line of a new fault: 63 at most, 76 with a signature."""
+ROUTINE_ROOM = BURST_MIN / 2
+"""Bytes that routine messages leave for several faults, and for an answer to a command. Near the upper end of each size of
+swarm they need more than an agent's share, and would otherwise use up all that was saved."""
 REST, LEADER = 0.2, 0.2
 TXBUF_STALE_S = 5.0
 SLOWEST = 10.0
 MAX_WAITING = 256
+UNSIGNED_LAST = 9
+"""Urgency of answers to unsigned senders on a link with signing."""
 SIZES: tuple[tuple[int, float, float], ...] = ((8, 2.0, 10.0), (30, 5.0, 60.0), (100, 15.0, 150.0), (250, 40.0, 300.0))
-"""Up to this many agents: seconds between heartbeats, seconds between refreshes. With views and the leader's lines, up to 30
-agents stay within SHARE of the radio and 100 within 6 % of it (`scripts/bench mavlink`); each heartbeat has the status."""
+"""Up to this many agents: seconds between heartbeats, seconds between refreshes. Unsigned, with views and the leader's
+lines, up to 30 agents stay within SHARE of the radio and 100 within 6 % of it (`scripts/bench mavlink`); each heartbeat has
+the status."""
 
 
 class MessagePriority(IntEnum):
@@ -41,7 +50,10 @@ class MessagePriority(IntEnum):
     REFRESH = 3
     """Periodic messages."""
     REQUEST = 4
-    """Requested messages: details, ONBOARD_COMPUTER_STATUS."""
+    """Requested messages: details, ONBOARD_COMPUTER_STATUS. They take turns with routine messages (`LinkBudget`)."""
+
+
+ROUTINE = frozenset({MessagePriority.SWARM, MessagePriority.REFRESH})
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +121,9 @@ class LinkBudget:
     Heartbeats are never delayed, because silence means a lost agent; their bytes are taken from the rest. At least REST of
     the share remains: where the heartbeats of a large swarm use all of it, faults must still be reported.
     Invariant: over any time t not more than `burst + t * rate` bytes leave besides the heartbeats.
+
+    An answer to a command is sent before routine messages until answers have used ROUTINE_ROOM more bytes than these; then both
+    take turns. So an answer does not wait for minutes, and a sender of many commands cannot stop views and refreshes.
     """
 
     bytes_s: float | None
@@ -124,6 +139,8 @@ class LinkBudget:
     """When the last heartbeat was sent, and bytes per second of heartbeats."""
     _credit: TokenBucket = field(init=False)
     """Bytes that were saved for later."""
+    _ahead: float = -ROUTINE_ROOM
+    """Bytes of answers minus bytes of routine messages. Answers are first while it is not above 0."""
     _waiting: OrderedDict[str, QueuedMessage] = field(default_factory=OrderedDict)
 
     def __post_init__(self) -> None:
@@ -162,17 +179,27 @@ class LinkBudget:
     def next(self, now: float) -> QueuedMessage | None:
         """The message to send now, or None. A small message does not pass a more important one that waits for credit."""
         self._credit.refill(now, self.rate / self.flow.factor(now), self.burst)
-        item = min(self._waiting.values(), key=_order, default=None)
-        if item is None or not self._credit.take(item.size):
+        item = self._first()
+        if item is None or self._credit.tokens - item.size < _room(item.kind):
             return None
+        self._credit.take(item.size)
+        self._ahead = min(max(self._ahead + _answer_bytes(item), -ROUTINE_ROOM), ROUTINE_ROOM)
         del self._waiting[item.key]
         count = self.counts[item.kind]
         count.sent, count.bytes = count.sent + 1, count.bytes + item.size
         return item
 
+    def _first(self) -> QueuedMessage | None:
+        least = min(self._waiting.values(), key=_order, default=None)
+        if least is None or least.kind not in ROUTINE or self._ahead > 0:
+            return least
+        answers = (item for item in self._waiting.values() if _is_answer(item))
+        return min(answers, key=_order, default=least)
+
     def give_back(self, item: QueuedMessage) -> None:
         """It could not be sent. It is first among its equals again, unless a newer one with its key waits."""
         self._credit.tokens = min(self.burst, self._credit.tokens + item.size)
+        self._ahead -= _answer_bytes(item)
         count = self.counts[item.kind]
         count.sent, count.bytes = count.sent - 1, count.bytes - item.size
         if item.key in self._waiting:
@@ -194,3 +221,22 @@ class LinkBudget:
 
 def _order(item: QueuedMessage) -> tuple[int, int]:
     return item.kind, item.urgency
+
+
+def _is_answer(item: QueuedMessage) -> bool:
+    """Whether it may be sent before routine messages."""
+    return item.kind is MessagePriority.REQUEST and item.urgency < UNSIGNED_LAST
+
+
+def _answer_bytes(item: QueuedMessage) -> float:
+    """By how much it changes `LinkBudget._ahead`."""
+    if item.kind is MessagePriority.REQUEST:
+        return item.size
+    return -item.size if item.kind in ROUTINE else 0.0
+
+
+def _room(kind: MessagePriority) -> float:
+    """Bytes that must remain after a message of this priority."""
+    if kind is MessagePriority.TRANSITION:
+        return 0.0
+    return ROUTINE_ROOM if kind in ROUTINE else LINE_ROOM

@@ -16,6 +16,8 @@ The contract for ground stations (`docs/reference/mavlink.md`, Commands)::
         4    hold the container at position param2; param3 as above; param4 seconds, 0 or NaN: the configured length
         5    release the container at position param2; param3 as above
 
+A repetition (confirmation above 0) is one of a command with equal parameters. A ground station may send another number in param7
+with each request, so that it is not taken for a repetition of an earlier one.
 The answer to MAV_CMD_USER_1 is also sent as text, in a TUNNEL to the sender.
 A fault's number is the part of its id after the dash: 17 of ``ab12-17``.
 """
@@ -72,7 +74,7 @@ READ_ONLY = frozenset((Permission.STATUS, Permission.DETAILS))
 @dataclass(frozen=True, slots=True)
 class Command:
     """One command as received. broadcast: addressed to all components of the system. age_s: seconds since it was signed.
-    name_hash, for_s: param3 and param4 as received."""
+    name_hash, for_s: param3 and param4 as received. rest: param5 to param7, which have no meaning, but make requests distinct."""
 
     command: int
     params: tuple[float, float]
@@ -85,6 +87,7 @@ class Command:
     age_s: float = 0.0
     name_hash: float = 0.0
     for_s: float = 0.0
+    rest: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
     def sender(self) -> str:

@@ -81,6 +81,8 @@ def _open(found: list[Path], stack: ExitStack) -> list[IO[bytes]]:
     # Newest first: a rotation between two opens then shows a file twice, never hides one.
     for file in reversed(found):
         try:
+            if not file.is_file():  # opening a pipe waits for its other end
+                continue
             stream: IO[bytes] = stack.enter_context(file.open("rb"))
             if file.name.endswith(COMPRESSED):
                 stream = cast(IO[bytes], stack.enter_context(gzip.GzipFile(fileobj=stream)))

@@ -63,12 +63,16 @@ containers:
   - {name: "${PHM_APP}", alias: ros_app, networks: ["${PHM_NETWORK}"]}
 mavlink:
   endpoints: [{url: "${PHM_MAVLINK}"}]
+recovery:
+  on_manual_stop: heal
 """
-"""What is there before: as much as PHM needs to join the application's network."""
+"""What is there before: as much as PHM needs to join the application's network, and that a container that the script pauses is a
+failure, although the vehicle is disarmed."""
 STARTED_AGAIN = frozenset(("device_gone",))
 """A container has the device file of its start: when the device is back, an operator restarts the container, as PHM says."""
 FOLDER = "ros_app:/ws"
 SEEN_LIMIT_S, START_LIMIT_S, LEARN_LIMIT_S = 60.0, 90.0, 600.0
+"""The first: since there can be evidence of the fault (`Fault.evidence_s`)."""
 RESTORED_LIMIT_S = 20.0
 AFTER_S = 8.0
 """How long a fault stays after its alarm, so that late alarms are caught."""
@@ -120,7 +124,8 @@ class LearnedRun:
         row = Row("learned", fault.name, fault.title, unit, also)
         mark = self.monitor.mark()
         moment = fault.inject(self.stack.agent)
-        opened = self.record.wait(lambda event: _opens(event, row), SEEN_LIMIT_S, since=mark)
+        limit_s = SEEN_LIMIT_S + (fault.evidence_s or 0.0)
+        opened = self.record.wait(lambda event: _opens(event, row), limit_s, since=mark)
         if opened is not None:
             self.record.wait(
                 lambda event: event["mono"] > opened["mono"] + AFTER_S, 2 * AFTER_S + SEEN_LIMIT_S, since=mark

@@ -91,7 +91,8 @@ class AcceptanceRun:
         moment = fault.inject(self.agent)
         if fault.healable:
             for unit in row.expected:
-                self.record.wait(partial(phase, "verified", unit), RECOVERED_LIMIT_S, since=mark)
+                limit_s = RECOVERED_LIMIT_S + (fault.evidence_s or 0.0)  # some can only be known late
+                self.record.wait(partial(phase, "verified", unit), limit_s, since=mark)
         else:
             self.record.wait(lambda event: event["event"] == "fault_opened", SEEN_LIMIT_S, since=mark)
             if self._acted(mark):

@@ -71,13 +71,15 @@ def plays(only: Collection[str] = (), modes: Collection[str] = MODES) -> Iterato
 
 
 def configuration(mode: str = "act", *, relaunch: bool = False, more: Mapping[str, str] | None = None) -> str:
-    """The shipped configuration with room for so many faults in a row, and files that can be judged and restored."""
+    """The shipped configuration with room for so many faults in a row, files that can be judged and restored, and a pause that counts as a
+    failure although the vehicle is disarmed."""
     sha256 = hashlib.sha256(CONTENT).hexdigest()
     changes = {
         "\n  budget: 5": "\n  budget: 100",
         "\n  mode: act": f"\n  mode: {mode}",
         '#sha256: "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"': f'sha256: "{sha256}"',
         "#restore: image": "restore: image",
+        "\n    ground: respect": "\n    ground: heal",
         **(more or {}),
     }
     if relaunch:

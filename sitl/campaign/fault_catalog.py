@@ -58,7 +58,7 @@ alarm may report both.
 """
 THROUGH_ENGINE = frozenset({"container", "files"})
 """Kinds that PHM knows of through the Docker Engine, except what BY_CGROUP lists."""
-BY_CGROUP = frozenset({"created", "exited", "oom", "paused"})
+BY_CGROUP = frozenset({"exited", "oom", "paused"})
 """Conditions that the container's cgroup shows, too: it has no process left, is frozen, or is removed with its container."""
 _SOLE = frozenset({"clock_stepped", "memory_leak", "network_lost_together", "phm_killed_in_restart", "power_loss"})
 """Faults that affect PHM as well as what they are named for, or whose injection takes more than a minute."""

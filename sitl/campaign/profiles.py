@@ -20,8 +20,10 @@ CHANGES = {
     "\n  budget: 5": "\n  budget: 100",
     '#sha256: "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"': f'sha256: "{hashlib.sha256(CONTENT).hexdigest()}"',
     "#restore: image": "restore: image",
+    "\n    ground: respect": "\n    ground: heal",
 }
-"""Of the profile *tuned*: room for many faults in a row, and a file that can be judged and restored."""
+"""Of the profile *tuned*: room for many faults in a row, a file that can be judged and restored, and a pause that counts as a failure
+although the vehicle is disarmed."""
 NAMING = re.compile(
     r"agent\.\w+"
     r"|containers\[[^]]*\]\.(name|alias|label|recover)"
@@ -35,7 +37,7 @@ NAMING = re.compile(
 
 @dataclass(frozen=True)
 class Profile:
-    """changes: of the shipped configuration of all agents. unseen: faults that its configuration cannot detect, and
+    """changes: of the shipped configuration of all agents. unseen: faults that its configuration cannot detect or does not report, and
     why. not_recovered: faults that PHM may only report. seen_limit_s: a fault that was not reported for this long after
     its first evidence is missed. recovered_limit_s: how long a recovery may take after the first evidence. actions: most
     actions of PHM on an agent within `recovery.window` before its next fault; None: any number.
@@ -54,7 +56,10 @@ class Profile:
         return self.name == "tuned"
 
 
-_UNSEEN = {"file_altered": "the shipped configuration does not have the SHA-256 of the file"}
+_UNSEEN = {
+    "container_paused": "the shipped configuration respects a pause while the vehicle is disarmed",
+    "file_altered": "the shipped configuration does not have the SHA-256 of the file",
+}
 _NOT_RECOVERED = frozenset({"file_deleted", "file_not_executable"})
 """The shipped configuration does not allow PHM to restore files."""
 _OF_FIVE = 2

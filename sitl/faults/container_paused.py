@@ -9,7 +9,9 @@ from sitl.faults.base import Agent, Fault, freeze
 
 
 class Injection(Fault):
-    """`docker pause`."""
+    """`docker pause`. While the vehicle is disarmed, PHM must be configured to treat it as a failure (`recovery.on_manual_stop`): it is
+    an operator's wish otherwise.
+    """
 
     name, title, unit = "container_paused", "container paused", "container/ros_app"
     condition = "paused"

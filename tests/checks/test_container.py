@@ -124,7 +124,7 @@ def test_a_container_that_does_not_exist_is_missing() -> None:
 @pytest.mark.parametrize(
     ("status", "condition"),
     [
-        ("created", "created"),
+        ("created", "not_started"),
         ("exited", "exited"),
         ("paused", "paused"),
         ("dead", "dead"),

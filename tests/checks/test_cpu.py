@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from phm import api, testing
-from phm.probes.cpu_usage import SHORTEST_S, CpuMonitor
+from phm.probes.cpu_usage import SHORTEST_S, CpuMonitor, CpuUsage
+from phm.probes.host import Host as HostProbe
 from phm_checks._cpu import STAYS_S, WAITING_PERCENT
 from phm_checks.host import Host
 
@@ -208,6 +209,44 @@ def test_a_sample_too_soon_returns_the_previous_one(tmp_path: Path) -> None:
     clock.advance(SHORTEST_S / 2)
     write(tmp_path, "200 0 100 1001 0 0 0 0 0 0", 0)
     assert processor.use() == first and first.busy_percent == 100.0
+
+
+def test_nothing_is_measured_before_there_is_an_interval(tmp_path: Path) -> None:
+    """Shares need two samples; zeros would be in the log and in the report's plots."""
+    clock = testing.FakeClock()
+    write(tmp_path, "100 0 100 1000 0 0 0 0 0 0", 0)
+    processor = CpuMonitor(clock, tmp_path)
+    clock.advance(SHORTEST_S / 2)
+    assert processor.use() == CpuUsage(None, None, None, None)
+
+
+def test_the_first_run_does_not_judge_what_was_not_measured(tmp_path: Path) -> None:
+    """CPU and disks are STALE and have no values; after an interval both are measured."""
+    clock = testing.FakeClock()
+    write(tmp_path, "100 0 100 1000 0 0 0 0 0 0", 0)
+    for name in ("memory", "io"):
+        (tmp_path / "pressure" / name).write_text("some avg10=0.00 total=0\nfull avg10=0.00 total=0\n", "ascii")
+    (tmp_path / "meminfo").write_text("MemTotal: 1000 kB\nMemAvailable: 700 kB\n", "ascii")
+    settings = testing.settings(host={"disks": []})
+    (check,) = Host.build(settings)
+    machine = HostProbe(settings.host, clock, tmp_path / "sys", tmp_path)
+
+    def observe() -> tuple[api.Result, api.Result]:
+        results = check.run(testing.world(clock=clock, host=machine))
+        assert not isinstance(results, api.Result)
+        return results["host/cpu"], results["host/io"]
+
+    clock.advance(SHORTEST_S / 2)
+    for result in observe():
+        assert (result.level, result.bypass, dict(result.values)) == (api.Level.STALE, False, {})
+        assert "not measured yet" in result.summary
+        assert " 0 %" not in result.summary and "does not count" not in result.summary
+        assert result.readings is None or result.readings.cpu_percent is None
+    clock.advance(1.0)
+    write(tmp_path, "150 0 100 1150 0 0 0 0 0 0", 0)
+    cpu, io = observe()
+    assert (cpu.level, cpu.values["cpu_percent"]) == (api.Level.OK, 25.0)
+    assert (io.level, io.bypass, dict(io.values)) == (api.Level.OK, False, {"io_stalled_percent": 0.0})
 
 
 def test_a_kernel_without_psi_reports_no_pressure(tmp_path: Path) -> None:

@@ -100,6 +100,14 @@ def test_data_received_earlier_is_part_of_the_evidence(path: DataPath) -> None:
     assert "Data was received earlier" in result.summary
 
 
+def test_where_the_address_cannot_be_checked_nothing_is_restarted(path: DataPath) -> None:
+    """As without an address check: PHM, on the host's network, does not reach a macvlan reliably."""
+    path.docker.drivers[NET] = "macvlan"
+    result = path.later(10.0, 4.0, 4.4)
+    assert (result.condition, result.target) == ("transport_blocked", "")
+    assert "responds" not in result.summary
+
+
 def test_without_an_address_check_nothing_is_restarted(path: DataPath) -> None:
     """PHM's own connection to a healthy container may be the broken part."""
     made = testing.settings(

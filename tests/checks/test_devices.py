@@ -49,6 +49,27 @@ def test_a_missing_device_is_an_error_that_lists_the_existing_ports() -> None:
     assert "/dev/ttyACM1 (PX4 FMU)" in result.summary
 
 
+def test_each_further_missing_device_changes_the_brief() -> None:
+    """PHM reports a changed brief to the ground: also when one of them is back, or something else is wrong with it."""
+    paths = (PATH, "/dev/ttyACM1", "/dev/video0", "/dev/video1")
+    entry = {"name": "ros_app", "devices": [{"path": path, "mapped": False} for path in paths]}
+    (check,) = Devices.build(testing.settings(containers=[entry]))
+
+    def brief(*missing: str, refused: bool = False) -> str:
+        devices = testing.FakeDevices()
+        for path in set(paths).difference(missing):
+            devices.put(path, major=166, openable=not refused)
+        return evaluate(check, devices).brief
+
+    assert [brief(*paths[:missing]) for missing in (1, 2, 1, 4)] == [
+        "ttyACM0 missing",
+        "ttyACM0 ttyACM1 missing",
+        "ttyACM0 missing",
+        "ttyACM0 missing (+3)",
+    ]
+    assert brief(*paths[:3], refused=True) == "ttyACM0 missing (+3)"
+
+
 def test_a_missing_device_is_reported_even_without_its_container() -> None:
     """Docker does not start a container whose device is missing, so the device is the cause."""
     check = build()

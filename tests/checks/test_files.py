@@ -64,9 +64,9 @@ def test_each_discrepancy_has_its_condition(
 
 
 def test_one_summary_lists_all_problems() -> None:
-    """The brief has the first problem only."""
+    """And the brief names all files with which the same is wrong."""
     result = evaluate({"path": "/a"}, {"path": PATH}, {"path": "/b"}, files=with_file())
-    assert result.brief == "a missing"
+    assert result.brief == "a b missing"
     assert "/a in" in result.summary and "/b in" in result.summary and PATH not in result.summary
     assert result.values["files_bad"] == 2
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from phm import api, testing
-from phm_checks.host import STEP_REPORT_S, Host, Threshold
+from phm_checks.host import STEP_REPORT_S, THROTTLE_REPORT_S, Host, Threshold
 
 
 class Bench:
@@ -102,10 +102,58 @@ def test_a_machine_without_temperature_sensors_is_a_bypass() -> None:
 
 
 def test_past_throttling_is_a_note() -> None:
-    """It is over; the text remains for readers of the log."""
-    result = Bench().observe("temperature", throttled=("under-voltage since boot",))
-    assert result.level is api.Level.OK
-    assert "under-voltage since boot" in result.summary
+    """Before the start of PHM; the text remains for readers of the log."""
+    bench = Bench()
+    for _ in range(3):
+        result = bench.observe("temperature", throttled=("under-voltage earlier",))
+        assert result.level is api.Level.OK
+        assert "under-voltage earlier" in result.summary
+
+
+def warned_s(bench: Bench, seconds: int) -> int:
+    """For how many of the next `seconds` the temperature is a WARN; the machine is observed every 2 s."""
+    return 2 * sum(bench.observe("temperature").level is api.Level.WARN for _ in range(seconds // 2))
+
+
+def test_short_throttling_is_reported_for_a_limited_time() -> None:
+    """Kernels that poll every 2 s show it in one reading. A motor that starts again extends the time."""
+    bench = Bench()
+    bench.observe("temperature")
+    for _ in range(2):
+        result = bench.observe("temperature", throttled=("under-voltage earlier",))
+        assert (result.level, result.condition, result.brief) == (api.Level.WARN, "throttled", "under-voltage")
+        assert "under-voltage in the last 30 s: check the power supply" in result.summary
+        bench.observe("temperature", throttled=())
+        assert warned_s(bench, 20) == 20
+    assert warned_s(bench, 40) == THROTTLE_REPORT_S - 24
+
+
+def test_repeated_throttling_is_reported_until_it_ends() -> None:
+    """A kernel that was seen to clear the flag sets it again only for a new under-voltage."""
+    bench = Bench()
+    for flags in ((), ("under-voltage earlier",), ()):
+        bench.observe("temperature", throttled=flags)
+    bench.host.change(throttled=("under-voltage earlier",))
+    assert warned_s(bench, 100) == 100
+    bench.host.change(throttled=())
+    assert warned_s(bench, 100) == THROTTLE_REPORT_S - 2
+
+
+def test_a_flag_that_is_kept_since_boot_becomes_a_note() -> None:
+    """Other kernels never clear it: its first appearance is reported, and each end of a throttling that is seen."""
+    bench = Bench()
+    bench.observe("temperature")
+    bench.host.change(throttled=("under-voltage earlier",))
+    assert warned_s(bench, 100) == THROTTLE_REPORT_S
+    bench.host.change(throttled=None)
+    assert warned_s(bench, 10) == 0, "a reading that failed shows nothing"
+    bench.host.change(throttled=("under-voltage earlier",))
+    assert warned_s(bench, 10) == 0
+    result = bench.observe("temperature", throttled=("under-voltage now",))
+    assert (result.level, result.brief) == (api.Level.WARN, "under-voltage")
+    assert "the CPU is throttled: under-voltage now" in result.summary
+    bench.host.change(throttled=("under-voltage earlier",))
+    assert warned_s(bench, 100) == THROTTLE_REPORT_S - 2
 
 
 def test_a_clock_step_is_reported_for_a_limited_time() -> None:

@@ -140,6 +140,21 @@ def test_bytes_without_frames_are_an_error() -> None:
     assert run(check(SERIAL), changed(rx_s=5.0, frames_s=0.0)).level is api.Level.OK
 
 
+@pytest.mark.parametrize(
+    ("fields", "condition"),
+    [
+        ({"verified_s": 0.2, "frame_bytes_s": 20.0, "bad_s": 90.0}, ""),
+        ({"verified_s": 0.0, "frame_bytes_s": 290.0}, ""),
+        ({"verified_s": 0.0, "frame_bytes_s": 40.0}, "link_undecodable"),
+        ({"verified_s": 0.0, "frame_bytes_s": 290.0, "bad_s": 12.0}, "link_undecodable"),
+    ],
+    ids=["noisy", "unknown messages", "few bytes in frames", "more false starts than frames"],
+)
+def test_frames_by_chance_are_not_valid(fields: dict[str, float], condition: str) -> None:
+    """Without a single correct checksum, they must be most of what arrives."""
+    assert run(check(SERIAL), changed(**fields)).condition == condition
+
+
 def test_line_errors_are_a_warning() -> None:
     """Framing errors and overruns, if the driver counts them."""
     result = run(check(SERIAL), changed(line=api.LineFact(3.0, 0.0, 0.0)))

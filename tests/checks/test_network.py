@@ -95,9 +95,51 @@ def test_phm_outside_of_the_network_is_reported_without_a_ping() -> None:
 
 
 @pytest.mark.parametrize("me", [None, testing.container("phm", network_mode="host")])
-def test_phm_with_host_networking_reaches_every_network(me: api.ContainerFact | None) -> None:
+def test_phm_with_host_networking_reaches_bridge_networks(me: api.ContainerFact | None) -> None:
     """The host reaches bridge networks directly."""
     assert evaluate(docker(me=me)).level is api.Level.OK
+
+
+ON_HOST = [None, testing.container("phm", network_mode="host")]
+
+
+@pytest.mark.parametrize("me", ON_HOST)
+def test_an_address_that_the_host_may_not_reach_is_not_judged(me: api.ContainerFact | None) -> None:
+    """Linux passes nothing between an interface and its macvlan children: silence there does not show a fault."""
+    engine = docker(me=me)
+    engine.silent.add("172.20.0.3")
+    engine.drivers[NET] = "macvlan"
+    result = evaluate(engine)
+    assert result.level is api.Level.OK
+    assert "its address there is not checked" in result.summary and "macvlan" in result.summary
+    engine.drivers[NET] = "bridge"
+    assert evaluate(engine).condition == "address_silent"
+
+
+def test_phm_on_a_macvlan_judges_its_addresses() -> None:
+    """From the same network, silence does."""
+    engine = docker(me=testing.container("phm", networks=on(address="172.20.0.2")))
+    engine.silent.add("172.20.0.3")
+    engine.drivers[NET] = "macvlan"
+    assert evaluate(engine).condition == "address_silent"
+
+
+def test_an_address_that_responded_before_is_known_to_be_reachable() -> None:
+    """In this run of PHM, whatever the run of the container: a recovery may follow. Of another address the check knows nothing."""
+    engine = docker(networks=(*on(), *on("id-2", "second", "172.21.0.3")))
+    engine.networks["second"] = "id-2"
+    (check,) = Network.build(testing.settings(containers=[{"name": "ros_app", "networks": [NET, "second"]}]))
+
+    def never_ok(*silent: str) -> bool | None:
+        engine.silent = set(silent)
+        result = check.run(testing.world(docker=engine))
+        assert isinstance(result, api.Result) and result.condition == "address_silent"
+        return result.evidence.never_ok
+
+    assert never_ok("172.20.0.3", "172.21.0.3") is None
+    assert never_ok("172.20.0.3") is None
+    engine.change("ros_app", started_at="2026-11-25T12:00:00Z")
+    assert never_ok("172.20.0.3", "172.21.0.3") is False, "the second one has responded"
 
 
 def test_a_silent_address_is_an_error_after_two_pings() -> None:

@@ -57,6 +57,29 @@ def test_a_node_that_lost_only_its_name_is_not_missing() -> None:
     assert bench.after(UNNAMED_S + 1.0).condition == "node_missing"
 
 
+@pytest.mark.parametrize("publisher", ["/agent_1/bridge", ""])
+def test_a_dead_node_beside_a_publisher_without_a_node_is_found_as_fast(publisher: str) -> None:
+    """PX4's uXRCE-DDS agent never gets a name, so its endpoint is not the lost one of the node."""
+    bench = Bench(topics=[{"name": TOPIC, "subscribers": [NAME]}])
+    bench.docker.lists.clear()
+    theirs, own = ((api.EndpointFact(node, "std_msgs/msg/String"),) for node in (publisher, NAME))
+    bench.ros.change(topics={TOPIC: api.TopicFact(theirs, own)})
+    assert bench.after(GRACE_S).level is api.Level.OK
+    bench.ros.change(nodes={}, topics={TOPIC: api.TopicFact(theirs)})
+    assert bench.after(LOST_S).condition == "node_missing"
+
+
+def test_a_lost_name_beside_a_publisher_without_a_node_is_not_a_missing_node() -> None:
+    """One more endpoint without a name than before: it may be the node's."""
+    bench = Bench(topics=[{"name": TOPIC, "subscribers": [NAME]}])
+    bench.docker.lists.clear()
+    bare, own = ((api.EndpointFact(node, "std_msgs/msg/String"),) for node in ("", NAME))
+    bench.ros.change(topics={TOPIC: api.TopicFact(bare, own)})
+    bench.after(GRACE_S)
+    bench.ros.change(nodes={}, topics={TOPIC: api.TopicFact(bare, bare)})
+    assert bench.after(UNNAMED_S - 1.0).level is not api.Level.ERROR
+
+
 @pytest.mark.parametrize("why", ["one is received", "one is listed", "one ended", "the processes are unknown"])
 def test_a_node_is_dead_unless_all_nodes_of_its_container_run_unreachable(why: str) -> None:
     """One received node, or one unknown process, and a missing node is a missing node."""

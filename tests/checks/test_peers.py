@@ -134,6 +134,16 @@ def test_without_configuration_received_agents_are_expected() -> None:
     assert (result.level, result.brief) == (Level.ERROR, "A03 lost")
 
 
+def test_each_further_lost_agent_changes_the_brief() -> None:
+    """PHM reports a changed brief to the ground: also when some of them are back."""
+    peers = dict.fromkeys(range(2, 9), ALIVE)
+    briefs = [
+        evaluate({**peers, **dict.fromkeys(lost, LOST)}, ())[SWARM].brief
+        for lost in ((3,), (3, 5), (3, 5, 6), (3, 5, 6, 7), (5, 6, 7), (5,))
+    ]
+    assert briefs == ["A03 lost", "A03 A05 lost", "A03 A05 A06 lost", "A03 lost (+3)", "A05 A06 A07 lost", "A05 lost"]
+
+
 def test_without_configuration_a_received_agent_is_lost_no_sooner_than_a_configured_one() -> None:
     """A report that is still in transit may say that it is alive, or that several are lost."""
     fresh = PeerFact("partly reachable", 7.0, (1,), (2,), since_s=1.0)
@@ -152,7 +162,7 @@ def test_without_expected_agents_being_alone_is_ok() -> None:
     """The result is a bypass: there is nothing to compare with."""
     result = evaluate({}, ())[SWARM]
     assert result.level is Level.OK
-    assert result.bypass
+    assert result.bypass and result.evidence.unobserved
 
 
 def test_without_links_no_check_is_built() -> None:

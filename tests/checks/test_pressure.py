@@ -27,6 +27,7 @@ FACT = api.PressureFact(
     memory_limit=64 * MIB,
     reread_pages=0,
     oom_kills=0,
+    memory_limit_hits=0,
     pids=5,
     pids_limit=20,
     pids_refused=0,
@@ -240,10 +241,37 @@ def test_an_oom_kill_inside_the_container_is_reported_for_a_while() -> None:
     """The container keeps running without that process."""
     bench = Bench()
     bench.calm()
-    result = bench.observe(oom_kills=1)
+    result = bench.observe(oom_kills=1, memory_limit_hits=1)
     assert result.level is api.Level.ERROR and "killed 1 of its processes" in result.summary
     assert result.settle_s == KILL_SETTLE_S, "the check of a node that was killed comes first"
     assert names(bench.observations(int(KILL_REPORT_S)))[-1] == "OK"
+
+
+def test_a_kill_far_below_the_containers_own_limit_is_blamed_on_the_computer() -> None:
+    """The kernel counts a hit of the limit before it kills for that; advice to raise the limit would make it worse."""
+    bench = Bench()
+    bench.calm()
+    for result in bench.observations(1, oom_kills=1) + bench.observations(5):
+        assert (result.level, result.brief) == (api.Level.ERROR, "ros_app killed, no memory left")
+        assert (result.condition, result.target) == ("memory_pressure", "ros_app")
+        assert "the computer ran out of memory" in result.summary and "raise the limit" not in result.summary
+
+
+@pytest.mark.parametrize("before", [0, 1])
+def test_a_kill_at_the_containers_own_limit_is_blamed_on_it_until_its_report_ends(before: int) -> None:
+    """The kernel may count the hit just before a reading, and the kill just after it."""
+    bench = Bench()
+    bench.calm()
+    bench.observe(memory_limit_hits=before)
+    for result in [bench.observe(oom_kills=1, memory_limit_hits=1 - before), *bench.observations(6)]:
+        assert result.brief == "ros_app memory limit 64 MB: killed" and "raise the limit" in result.summary
+
+
+def test_without_a_count_of_hits_a_kill_is_blamed_on_the_containers_limit() -> None:
+    """The usual cause, on a kernel that does not count them."""
+    bench = Bench(replace(FACT, memory_limit_hits=None))
+    bench.calm()
+    assert bench.observe(oom_kills=1).brief == "ros_app memory limit 64 MB: killed"
 
 
 def test_a_container_that_only_waits_for_the_disk_has_pressure_after_five_seconds() -> None:

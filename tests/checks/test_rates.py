@@ -289,6 +289,21 @@ def test_a_publisher_without_node_name_is_behind_a_blocked_transport() -> None:
     assert (result.level, result.condition) == (api.Level.ERROR, "transport_blocked")
 
 
+@pytest.mark.parametrize("others", ["names", "samples"])
+def test_a_publisher_without_node_name_does_not_publish_if_other_data_arrive(others: str) -> None:
+    """PX4's agent is not a ROS node and never gets a name. Names of other nodes are data, as are samples of another topic."""
+    publisher = (api.EndpointFact("", "px4_msgs/msg/SensorGps"),)
+    seen = {NAME: api.TopicFact(publisher, (), api.RateFact(None, None))}
+    bench = Bench()
+    if others == "names":
+        bench.ros.change(topics=seen, nodes={"/agent_1/offboard": 1})
+    else:
+        bench.ros.change(topics={**seen, "/fmu/out/odometry": api.TopicFact(publisher, (), api.RateFact(50.0, 0.1))})
+    results = bench.check.run(testing.world(clock=bench.clock, ros=bench.ros))
+    assert not isinstance(results, api.Result)
+    assert (results[UNIT].level, results[UNIT].condition) == (api.Level.ERROR, "not_received")
+
+
 def test_one_received_node_clears_the_transport() -> None:
     """Then a topic that never arrived is one that its node does not publish."""
     blocked = BlockedTransport()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from hypothesis import given, strategies as st
 
+from phm.api import error, ok, warn
 from phm_checks import _text
 
 
@@ -67,3 +68,23 @@ def test_a_long_list_is_truncated_with_a_note() -> None:
     """A hundred missing files make one readable sentence."""
     assert _text.listed([f"f{i}" for i in range(9)]) == "f0, f1, f2, f3, f4 and 4 more"
     assert _text.listed([]) == "none"
+
+
+@pytest.mark.parametrize(
+    ("briefs", "text"),
+    [
+        (["a dead"], "a dead"),
+        (["a dead", "b dead"], "a b dead"),
+        (["a dead", "b slow"], "a dead (+1)"),
+        (["a dead", "a dead"], "a dead (+1)"),
+        (["a dead", "b dead", "c dead", "d dead"], "a dead (+3)"),
+        ([f"{'x' * 20} dead", f"{'y' * 20} dead"], f"{'x' * 20} dead (+1)"),
+        ([f"{'x' * 33} dead", "b slow"], f"{'x' * 33} (+1)"),
+        (["", ""], ""),
+    ],
+)
+def test_one_brief_for_several_findings(briefs: list[str], text: str) -> None:
+    """Each further one changes it; what is less bad than the first does not."""
+    findings = [error("", brief=brief, condition="bad") for brief in briefs]
+    assert _text.combined([warn("", brief="e slow", condition="bad"), *findings, ok("f")]) == text
+    assert len(text) <= _text.BRIEF_MAX

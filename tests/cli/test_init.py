@@ -51,6 +51,12 @@ def test_nothing_is_written_where_the_log_folder_cannot_be_made(fake: FakeEngine
     assert (tmp_path / "logs").is_dir()
 
 
+def test_the_next_command_works_for_any_name_of_the_folder(fake: FakeEngine, tmp_path: Path) -> None:
+    """One with a space is quoted."""
+    done = init(fake, tmp_path / "my agent", "--yes")
+    assert f"  cd '{tmp_path}/my agent' && docker compose up -d\n" in done.output
+
+
 def test_options_answer_the_questions(fake: FakeEngine, tmp_path: Path) -> None:
     """`phm init` with options asks nothing and writes what they say."""
     options = ["--id", "9", "--container", "ros_app", "--recover", "--mavlink", "none", "--image", "phm:2"]

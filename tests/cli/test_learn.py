@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from click.testing import CliRunner, Result
 
 from phm.cli import group
 from phm.facts import EndpointFact
-from phm.learn import agent_observer
+from phm.learn import agent_observer, output
 from phm.learn.observations import Observations, ObservedFolder, ObservedTopic
 
 TYPE = "std_msgs/msg/String"
@@ -115,3 +116,51 @@ def test_a_file_is_kept_when_nothing_was_learned(tmp_path: Path, monkeypatch: py
     assert result.exit_code == 1
     assert "nothing was learned" in result.output
     assert (tmp_path / "phm.yaml").read_text() == "agent: {id: 7} # mine\n"
+
+
+def test_a_folder_that_cannot_be_written_is_found_before_the_measurement(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in a container whose user does not own the folder that is mounted."""
+
+    def refuse(*, prefix: str, dir: Path) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied", str(dir / prefix))
+
+    measured: list[object] = []
+    monkeypatch.setattr(agent_observer.AgentObserver, "run", measured.append)
+    monkeypatch.setattr("tempfile.mkstemp", refuse)
+    result = invoke("--fresh", "-o", "new/folder/phm.yaml")
+    assert (result.exit_code, measured, result.stdout) == (1, [], "")
+    assert "--output new/folder/phm.yaml: cannot write there (Permission denied)" in result.stderr
+    assert '-u "$(id -u):$(id -g)"' in result.stderr
+
+
+@pytest.mark.parametrize("name", ["phm.yaml", "new/folder/phm.yaml"])
+def test_trying_the_output_leaves_nothing(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither a folder nor a file, if nothing is learned."""
+    monkeypatch.setattr(agent_observer.AgentObserver, "run", lambda self: Observations(60.0))
+    assert invoke("--fresh", "-o", name).exit_code == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_output_below_a_file_is_refused(tmp_path: Path) -> None:
+    """No folder can be made there."""
+    (tmp_path / "file").write_text("")
+    result = invoke("--fresh", "-o", "file/phm.yaml")
+    assert result.exit_code == 1 and "--output file/phm.yaml: cannot write there (Not a directory)" in result.stderr
+
+
+@pytest.mark.parametrize("words", [(), ("--diff",), ("--json",)])
+def test_what_cannot_be_written_after_the_measurement_is_printed(
+    words: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The measurement may have taken hours, and the disk may be full."""
+
+    def fail(path: Path, data: bytes) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(output, "_replace", fail)
+    result = invoke("--fresh", "-o", "phm.yaml", *words)
+    printed = json.loads(result.stdout)["configuration"] if "--json" in words else result.stdout
+    assert result.exit_code == 1 and printed.startswith("# Written by") and "rate: 10" in printed
+    assert "phm.yaml was not written" in result.stderr and "No space left on device" in result.stderr

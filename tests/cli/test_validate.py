@@ -72,3 +72,19 @@ def test_a_ladder_of_an_unknown_condition_is_a_warning(condition: str, words: st
     warnings = json.loads(done.stdout)["warnings"]
     assert done.exit_code == 0 and len(warnings) == bool(words)
     assert all(f"recovery.ladders: {words}" in text for text in warnings)
+
+
+def test_a_share_as_a_fraction_is_a_warning(tmp_path: Path) -> None:
+    """A bare number is percent. With a unit it is meant, and other numbers below 1 are not shares."""
+    file = tmp_path / "phm.yaml"
+    file.write_text(
+        "host:\n  cpu: {warn: 0.9, error: 0.98}\n  memory: {warn: 0.5%, error: 90}\n"
+        "pressure:\n  memory_faults: {warn: 0.5, error: 0.7}\n"
+        "ros:\n  topics:\n    - name: /a\n      rate: 0.5\n      tolerance: ${SHARE:-0.07}\n"
+    )
+    done = CliRunner().invoke(group, ["validate", str(file), "--json"])
+    assert done.exit_code == 0 and json.loads(done.stdout)["warnings"] == [
+        f"{file}:2: host.cpu.warn: 0.9 is 0.9 %: write 90%, or 0.9% if that is meant",
+        f"{file}:2: host.cpu.error: 0.98 is 0.98 %: write 98%, or 0.98% if that is meant",
+        f"{file}:10: ros.topics[0].tolerance: 0.07 is 0.07 %: write 7%, or 0.07% if that is meant",
+    ]

@@ -61,6 +61,15 @@ def test_a_repeated_command_has_its_first_result() -> None:
     assert memory.previous_result(replace(again, signed=True), b"five", 1.0) is None
 
 
+def test_another_number_in_an_unused_parameter_makes_a_new_command() -> None:
+    """A lost request that only its repetition replaces is not answered with the result of an equal one before."""
+    memory = CommandDedup()
+    memory.record(replace(ASKED, rest=(0.0, 0.0, 11.0)), b"one", CommandResult.ACCEPTED, 0.0)
+    later = replace(ASKED, confirmation=1, rest=(0.0, 0.0, 12.0))
+    assert memory.previous_result(later, b"two", 1.0) is None
+    assert memory.previous_result(replace(later, rest=(0.0, 0.0, 11.0)), b"three", 1.0) is CommandResult.ACCEPTED
+
+
 def test_an_identical_frame_is_a_copy_and_another_one_a_new_command() -> None:
     """With confirmation 0 only a copy by another route is the same."""
     memory = CommandDedup()

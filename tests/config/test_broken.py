@@ -429,6 +429,51 @@ def test_a_wrong_interval_in_the_environment_is_named_as_such(value: str, words:
     assert words in problem.message
 
 
+@pytest.mark.parametrize(
+    ("url", "words"),
+    [
+        ("udpout://10.0.0.5:14550", "write udpout:HOST:PORT, without //"),
+        ("tcp://10.0.0.5:5760", "write tcp:HOST:PORT, without //"),
+        ("udpin://0.0.0.0", "write udpin:HOST:PORT, without //"),
+        ("/dev/ttyAMA0:115200", "the speed is the key 'baud'"),
+        ("/dev/ttyAMA0,57600", "the speed is the key 'baud'"),
+        ("/dev/serial/by-path/pci-0000:00:14.0-usb-0:1.2:1.0-port0:57600", "the speed is the key 'baud'"),
+        ("udpout:1.2.3.4:14550:14551", "the host '1.2.3.4:14550' has ':' and is not an IPv6 address"),
+        ("udpout:ground:14550:udp", "needs a host and a port"),
+        ("udpout:300.1.2.3:14550", "the host '300.1.2.3' is not an IPv4 address"),
+        ("udpout:10.0.5:14550", "the host '10.0.5' is not an IPv4 address"),
+        ("udpout:[]:5", "needs a host and a port"),
+    ],
+)  # fmt: skip
+def test_an_endpoint_as_other_tools_write_it_is_rejected(url: str, words: str) -> None:
+    """Nothing would reach the ground."""
+    (problem,) = refused(f"mavlink:\n  endpoints:\n    - url: '{url}'\n")
+    assert (problem.line, problem.key) == (3, "mavlink.endpoints[0].url")
+    assert words in problem.message and url in problem.message
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "/dev/ttyAMA0",
+        "/dev/serial/by-path/pci-0000:00:14.0-usb-0:1.2:1.0-port0",
+        "/dev/serial/by-path/platform-fd500000.pcie-pci-0000:01:00.0-usb-0:1.3:1.0",
+        "/dev/serial/by-path/platform-fe201000.serial:0",
+        "udpout:::1:14550",
+        "udpout:[fe80::1%eth0]:14550",
+        "udpin:0:14551",
+        "udpout:host.docker.internal:14550",
+        "udpout:ground_pc:14550",
+        "udpout:4.drone.lan:14550",
+        "udpbcast:192.168.1.255:14550",
+    ],
+)
+def test_an_endpoint_with_an_unusual_name_is_valid(url: str) -> None:
+    """Names of devices have colons, hosts need not be IPv4 addresses."""
+    settings = loads(f"mavlink: {{endpoints: [{{url: '{url}'}}]}}\n", environ={})
+    assert settings.mavlink.endpoints[0].url == url
+
+
 def test_an_alias_bomb_is_rejected() -> None:
     """Nine lines that expand to a billion values are rejected after a bounded amount of work."""
     lines = ["checks:", "  host:", "    options:", "      a0: &a0 [x, x, x, x, x, x, x, x, x, x]"]

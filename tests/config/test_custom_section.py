@@ -31,6 +31,8 @@ def refused(entries: str) -> list[str]:
         ("abc", "custom[0]: is text 'abc', expected a section with keys"),
         (f"{{{TCP}, prot: 1}}", "custom[0].prot: unknown key 'prot', did you mean 'port'?"),
         ("{name: a, type: tcp, host: x, port: 70000}", "custom[0].port: is 70000, allowed is 1 to 65535"),
+        ("{name: a, type: tcp, host: '1.2.3.4:55', port: 55}", "custom[0].host: the host '1.2.3.4:55' has ':'"),
+        ("{name: a, type: tcp, host: 1.2.3.400, port: 7}", "custom[0].host: the host '1.2.3.400' is not an IPv4 address"),
         ("{name: a, type: tcp, host: x/y, port: 7}", "custom[0].host: is 'x/y', allowed is the name or IP address"),
         (f"{{{TCP}, period: 0.1}}", "custom[0].period: is 0.1, allowed is 0.5 to 3600 seconds"),
         (f"{{{TCP}, brief: 'zu kalt °C'}}", "custom[0].brief: is 'zu kalt °C', allowed is printable ASCII characters"),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import threading
 
+import pytest
+
 from phm import testing
 from phm.core.bus import REPORTED_S, Bus
 from phm.core.clock import SystemClock
@@ -81,6 +83,28 @@ def test_a_subscriber_that_raises_is_counted_and_continues() -> None:
     bus.close(LIMIT_S)
     assert len(seen) == 2
     assert bus.problems() == ("bad: OSError: disk gone",)
+
+
+class Unprintable(Exception):
+    def __str__(self) -> str:
+        raise IndexError
+
+
+@pytest.mark.parametrize("error", [SystemExit(3), Unprintable()])
+def test_nothing_that_a_subscriber_raises_ends_its_thread(error: BaseException) -> None:
+    """A plug-in that calls `sys.exit` would otherwise receive nothing more, and no problem would be reported."""
+    bus, seen = Bus(SystemClock()), []
+
+    def handler(event: Event) -> None:
+        seen.append(event)
+        raise error
+
+    bus.subscribe("bad", handler)
+    bus.publish(note("a"))
+    bus.publish(note("b"))
+    bus.close(LIMIT_S)
+    assert len(seen) == 2
+    assert bus.problems()[0].startswith(f"bad: {type(error).__name__}")
 
 
 def test_ticks_come_every_period_without_events() -> None:

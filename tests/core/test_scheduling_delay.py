@@ -12,7 +12,8 @@ import time
 import pytest
 
 from phm import api
-from phm.checking.scheduler import CheckRun, CheckScheduler, ScheduledCheck
+from phm.checking.check_turns import CheckRun, ScheduledCheck
+from phm.checking.scheduler import CheckScheduler
 from phm.core.clock import SystemClock
 from phm.core.scheduling_delay import NOISE_S, PERIOD_S, SchedulingDelay
 from phm.probes.adaptive_timeout import AdaptiveTimeout
@@ -87,6 +88,7 @@ began = clock.mono()
 until(lambda: clock.lateness._due is not None, "the thread that measures to begin")
 print("runs", flush=True)
 sys.stdin.readline()
+until(lambda: clock.late_s(began) > 1.0, "the thread that measures to run again")
 print(clock.late_s(began), flush=True)
 """
 
@@ -125,7 +127,7 @@ def test_only_time_in_which_phm_ran_makes_a_check_overdue() -> None:
             raise AssertionError
 
     engine = CheckScheduler([ScheduledCheck(Hangs(), 5.0, 2.0)], world(), clock, found.append)
-    engine.threads[0].running_since = clock.mono()
+    engine.turns[0].running_since = clock.mono()
     clock.be_late(5.0)
     engine.report_overdue()
     assert (found, engine.overdue()) == ([], ())

@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 
 from phm import api, testing
-from phm.checking.scheduler import CheckRun, CheckScheduler, ScheduledCheck
+from phm.checking.check_turns import CheckRun, ScheduledCheck
+from phm.checking.scheduler import CheckScheduler
 from phm.core import threads
 from phm.core.bus import Bus
 from phm.core.closing import ShutdownSequence

@@ -27,7 +27,7 @@ IMAGE = "sensor_msgs/msg/Image"
 
 def path() -> str:
     """The radio is silent for so long that the ground station is, too."""
-    world = PathWorld(url="/dev/ttyUSB0:57600")
+    world = PathWorld(url="/dev/ttyUSB0")
     world.run(20.0)
     world.down = {"radio"}
     for _ in range(80):

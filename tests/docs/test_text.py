@@ -103,7 +103,7 @@ def swarm(block: Block) -> None:
 def hops(block: Block) -> None:
     """In the order of PHM's own sentence about the path."""
     app = {"name": "app", "recover": True}
-    world = PathWorld(url="/dev/ttyUSB0:57600", containers=[app])
+    world = PathWorld(url="/dev/ttyUSB0", containers=[app])
     world.docker.put(testing.container("app"))
     world.run(20.0)
     said = re.findall(r"(\w+) ok", world.text("path"))

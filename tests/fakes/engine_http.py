@@ -303,7 +303,8 @@ class Handler(BaseHTTPRequestHandler):
 
     def network(self, ref: str) -> None:
         name, network_id = self._network(ref)
-        self._json({"Name": name, "Id": network_id, "Driver": "bridge", "Containers": {}})
+        driver = self.fake.networks.get(name, {}).get("Driver", "bridge")
+        self._json({"Name": name, "Id": network_id, "Driver": driver, "Containers": {}})
 
     def connect(self, ref: str, verb: str) -> None:
         name, network_id = self._network(ref)
@@ -317,12 +318,12 @@ class Handler(BaseHTTPRequestHandler):
             raise _Refusal(403, f"endpoint with name {entry['Name'][1:]} already exists in network {name}")
         else:
             given = self.body.get("EndpointConfig") or {}
-            fixed = (given.get("IPAMConfig") or {}).get("IPv4Address")
+            fixed = given.get("IPAMConfig") or {}
             networks[name] = {
                 "NetworkID": network_id,
-                "IPAddress": fixed or "10.9.0.99",
+                "IPAddress": fixed.get("IPv4Address") or "10.9.0.99",
                 "Aliases": given.get("Aliases"),
-                "IPAMConfig": {"IPv4Address": fixed} if fixed else None,
+                "IPAMConfig": fixed or None,
             }
         self.fake.emit("network", verb, network_id, name=name, container=entry["Id"], type="bridge")
         self._send(200, b"")

@@ -3,7 +3,8 @@
     python tests/fakes/ros_flows.py NODE FILE TOPIC:HZ[:OPTION...]...
 
 Publishes std_msgs/String until it is terminated. HZ 0 publishes once. Options: a number is the size of a message in bytes,
-`latched` is transient local, `sim` has the node use the (absent) simulated time, `partition` sets a separate DDS partition.
+`latched` is transient local, `sim` has the node use the (absent) simulated time, `partition` sets a separate DDS partition,
+`lazy` has all of them publish only while there is a subscription.
 Each line of FILE is `COUNT SECONDS SUBSCRIPTIONS` of one publication of the first topic.
 """
 
@@ -29,6 +30,7 @@ def main(name: str, path: Path, flows: list[str]) -> None:
     node: Any = rclpy.create_node(
         name, namespace="/agent_1", parameter_overrides=[Parameter("use_sim_time", value=sim)]
     )
+    lazy = any("lazy" in flow.split(":") for flow in flows)
     due: list[Flow] = []
     for number, flow in enumerate(flows):
         topic, hz, *options = flow.split(":")
@@ -41,8 +43,10 @@ def main(name: str, path: Path, flows: list[str]) -> None:
         while due:
             at_s, number, hz, publisher, message = heapq.heappop(due)
             time.sleep(max(0.0, at_s - time.monotonic()))
-            publisher.publish(message)
-            if number == 0:
+            needed = not lazy or publisher.get_subscription_count()
+            if needed:
+                publisher.publish(message)
+            if needed and number == 0:
                 count += 1
                 file.write(f"{count} {time.time()} {publisher.get_subscription_count()}\n")
             if hz:

@@ -221,6 +221,8 @@ def test_a_port_in_use_is_one_sentence(tmp_path: Path) -> None:
     [
         (("udp:127.0.0.1:1",), "is not a MAVLink endpoint: allowed are udpout:HOST:PORT"),
         (("udpin:127.0.0.1",), "needs a host and a port"),
+        (("udpin://127.0.0.1:1",), "write udpin:HOST:PORT, without //"),
+        (("/dev/ttyUSB0,57600",), "ends with a speed"),
         (("tcp:a:1", "tcp:a:1"), "given twice"),
         (("--id", "255"), "not in the range 251<=x<=254"),
         (("--expect", "1,x"), "ids are 1 to 250"),

@@ -32,7 +32,9 @@ class Station:
         body = {**self.ground.snapshot(), "system": 254, "component": 190, "problems": [], "frames_refused": 0}
         return 1, GcsEvent(Stamp(0.0, 0.0), "snapshot", body)
 
-    def command(self, system: int, component: int, command: OperatorCommand, confirmation: int, link: str) -> None:
+    def command(
+        self, system: int, component: int, command: OperatorCommand, confirmation: int, nonce: float, link: str
+    ) -> None:
         self.sent.append((system, command.text, confirmation))
 
     def forget_containers(self, system: int, component: int) -> None:

@@ -64,6 +64,18 @@ def test_advice_ends_when_it_can_no_longer_be_approved(ground: Ground, over: Any
     assert ground.agent(7)["advice"] == []
 
 
+def test_advice_stays_while_its_slot_is_unknown(ground: Ground) -> None:
+    """The fault may still be open, and PHM sends the advice only once. A new fault of the same container replaces it."""
+
+    def offered(*frames: Any) -> list[int]:
+        ground.receive(*frames)
+        return [one["fault"] for one in ground.agent(7)["advice"]]
+
+    assert offered(phm_heartbeat(7, {Slot.CONTAINER: Level.STALE}), phm_heartbeat(7, FAILED)) == [17]
+    assert offered(text_frame(7, "A07 ADVISE 2 restart ros_app #18 60s", 4)) == [18]
+    assert offered(text_frame(7, "A07 ADVISE 2 restart ros_app #19 60s", 4)) == [18, 19]
+
+
 def test_a_restart_names_the_container_by_its_hash(ground: Ground) -> None:
     """Its position may be another container's after a reload. A position that the operator wrote has no name."""
     commands = [command for _, command in operator.menu(ground.agent(7))]
@@ -111,7 +123,7 @@ class Bench:
 
     def __init__(self, command: operator.OperatorCommand) -> None:
         self.sent: list[int] = []
-        self.exchange = Exchange("A07", command, self.sent.append, 0.0)
+        self.exchange = Exchange("A07", command, lambda confirmation, nonce: self.sent.append(confirmation), 0.0)
 
     def receive(self, event: str, now: float = 0.1, **body: Any) -> None:
         self.exchange.receive(GcsEvent(Stamp(0.0, now), event, {"agent": 7, "name": "A07", **body}), now)
@@ -157,7 +169,7 @@ def test_the_hash_of_the_name_is_sent_in_param3(monkeypatch: pytest.MonkeyPatch)
     station, sent = GroundStation(settings().mavlink, 254, FakeClock()), list[Any]()
     monkeypatch.setattr(station, "_hub", SimpleNamespace(send=lambda message, *, link: sent.append(message)))
     for command in (operator.restart(2, "router"), operator.restart(2), operator.approve(17)):
-        station.command(7, 193, command, 0)
+        station.command(7, 193, command, 0, 1.0)
     params = [(one.param1, one.param2, one.param3) for one in sent]
     assert params == [(3, 2, container_hash("router")), (3, 2, 0), (2, 17, 0)]
 

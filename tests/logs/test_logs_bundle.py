@@ -199,6 +199,27 @@ def test_names_of_secrets_are_recognized(name: str, secret: bool) -> None:
     assert is_secret(name) is secret
 
 
+@pytest.mark.parametrize("name", ["PWD", "OLDPWD"])
+def test_the_current_directory_of_a_shell_is_not_a_secret(name: str) -> None:
+    """Its path is in most lines of a log."""
+    secrets = Secrets()
+    secrets.learn_environment([f"{name}=/home/pi/phm"], "x")
+    secrets.learn_tree({"environment": {name: "/home/pi/phm"}}, "x")
+    assert secrets.clean(f"read /home/pi/phm/phm.yaml, {name}=/home/pi", "x").endswith(f"phm.yaml, {name}=/home/pi")
+    tree = {"Env": [f"{name}=/home/pi/phm"], "environment": {name: "/home/pi/phm"}}
+    assert secrets.clean_json(tree, "x") == tree and not secrets.removed
+
+
+@pytest.mark.parametrize("entry", ["DB_PWD=/s3cret/value", "pwd=/s3cret/value", "PWD=s3cret/value"])
+def test_other_values_of_such_names_are_removed(entry: str) -> None:
+    """PWD is also the password of a database in ODBC, which is not a path."""
+    name, _, value = entry.partition("=")
+    secrets = Secrets()
+    assert secrets.clean_json([entry, {name: value}], "x") == [f"{name}=<removed>", {name: "<removed>"}]
+    secrets.learn_environment([entry], "x")
+    assert "s3cret" not in secrets.clean(f"{entry} and {value}", "x")
+
+
 def test_inspect_output_is_cleaned_by_its_structure() -> None:
     """Variables, options with their own value, labels, and keys of several lines."""
     tree = {

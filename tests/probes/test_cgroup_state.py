@@ -1,11 +1,13 @@
-"""Whether a container has processes, from fabricated cgroup trees, and from the real one of a real container."""
+"""Whether a container has processes, and its CPU weight, from fabricated cgroup trees, and from the real one of a real container."""
 
 from __future__ import annotations
 
 import shutil
 from pathlib import Path
 
+from phm import testing
 from phm.facts import CgroupState
+from phm.probes import cgroups
 from tests.probes.test_pressure import ID, OTHER, Bench, v1, v2, write
 
 
@@ -55,3 +57,15 @@ def test_the_state_of_a_cgroup_of_version_1_is_its_number_of_tasks(tmp_path: Pat
     assert bench.probe.state("ros_app", ID) is CgroupState.REMOVED
     shutil.rmtree(tmp_path / "cpu")
     assert bench.probe.state("ros_app", ID) is None
+
+
+def test_the_cpu_weight_is_that_of_version_2(tmp_path: Path) -> None:
+    """0 where the shares are exact, and where there is no such file or cgroup."""
+    app = testing.container("ros_app", id=ID)
+    folder = v2(tmp_path / "v2", cpu_weight="100\n")
+    assert cgroups.cpu_weight(tmp_path / "v2", app) == 100
+    assert cgroups.cpu_weight(tmp_path / "v2", testing.container("other", id=OTHER)) == 0
+    (folder / "cpu.weight").unlink()
+    assert cgroups.cpu_weight(tmp_path / "v2", app) == 0
+    v1(tmp_path / "v1")
+    assert cgroups.cpu_weight(tmp_path / "v1", app) == 0

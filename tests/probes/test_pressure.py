@@ -12,11 +12,10 @@ import pytest
 from hypothesis import given, strategies as st
 
 from phm import testing
-from phm.facts import CannotTell, ConsumerFact, ContainerFact, StallFact
+from phm.facts import CannotTell, ContainerFact, StallFact
 from phm.probes import cgroups, engine_stats
 from phm.probes.pressure import ENGINE_EVERY_S, Pressure
 from phm.probes.stall_sampler import KEEP_S, PERIOD_S
-from phm.probes.top_consumers import LEAST_S, MOST_S, TopConsumers
 from phm.transport.docker import EngineMissing, EngineRefused
 from tests.fakes.until import LIMIT_S, until
 
@@ -32,7 +31,7 @@ V2 = {
     "memory.current": "66060288\n",
     "memory.max": "67108864\n",
     "memory.stat": "anon 2666496\nfile 8663040\npgfault 1778\npgmajfault 700\nworkingset_refault_anon 5\nworkingset_refault_file 600\n",
-    "memory.events": "low 0\nhigh 0\nmax 12\noom 1\noom_kill 1\noom_group_kill 0\n",
+    "memory.events": "low 0\nhigh 0\nmax 12\noom 3\noom_kill 1\noom_group_kill 0\n",
     "pids.current": "7\n",
     "pids.max": "20\n",
     "pids.events": "max 3\n",
@@ -48,6 +47,7 @@ V1: dict[str, dict[str, str]] = {
         "memory.usage_in_bytes": "66060288\n",
         "memory.limit_in_bytes": "67108864\n",
         "memory.stat": "cache 8663040\nworkingset_refault_file 2123\npgmajfault 10\ntotal_pgmajfault 10\n",
+        "memory.failcnt": "61\n",
         "memory.oom_control": "oom_kill_disable 0\nunder_oom 0\noom_kill 2\n",
     },
     "pids": {"pids.current": "1\n", "pids.max": "max\n", "pids.events": "max 0\n"},
@@ -108,7 +108,8 @@ class Bench:
 
     def __init__(self, root: Path, stats: Any = STATS, **container: Any) -> None:
         self.engine, self.clock = CountingEngine(stats), testing.FakeClock()
-        self.docker = testing.FakeDocker(testing.container("ros_app", **{"id": ID, "cpu_limit": 0.05, **container}))
+        fields = {"id": ID, "cpu_limit": 0.05, "memory_limit": 67108864, **container}
+        self.docker = testing.FakeDocker(testing.container("ros_app", **fields))
         settings = testing.settings(containers=[{"name": "ros_app"}], pressure={"cgroups": str(root)})
         self.probe = Pressure(self.engine, self.docker, settings.containers, settings.pressure, self.clock)  # type: ignore[arg-type]
 
@@ -138,6 +139,7 @@ def test_version_2_is_read(tmp_path: Path) -> None:
         memory_limit=67108864,
         reread_pages=605,
         oom_kills=1,
+        memory_limit_hits=3,
         pids=7,
         pids_limit=20,
         pids_refused=3,
@@ -181,10 +183,23 @@ def test_version_1_is_read_with_the_pressure_of_hybrid_mode(tmp_path: Path) -> N
     )
     assert (fact.cpu_used_s, fact.memory_limit, fact.reread_pages, fact.oom_kills) == (0.180194374, 67108864, 10, 2)
     assert (fact.pids, fact.pids_limit, fact.pids_refused, fact.cpu) == (1, None, 0, None)
+    assert fact.memory_limit_hits == 61
     assert fact.not_seen == ("waiting for CPU, memory and disk (no pressure stall information)",)
     write(tmp_path / "unified" / "docker" / ID, {"cpu.pressure": V2["cpu.pressure"]})
     fact = Bench(tmp_path).probe.container("ros_app")
     assert fact is not None and fact.cpu == StallFact(2.722284, 2.720498) and fact.not_seen == ()
+
+
+@pytest.mark.parametrize(("most", "hits"), [("33554432\n", 61), ("67108864\n", None)])
+def test_version_1_may_not_count_hits_of_the_limit_of_memory_and_swap(
+    tmp_path: Path, most: str, hits: int | None
+) -> None:
+    """Linux 6.18 kills for that limit without counting: once it was reached, the count of the other says nothing."""
+    v1(tmp_path)
+    files = {"memory.memsw.max_usage_in_bytes": most, "memory.memsw.limit_in_bytes": "67108864\n"}
+    write(tmp_path / "memory" / "docker" / ID, files)
+    fact = Bench(tmp_path).probe.container("ros_app")
+    assert fact is not None and fact.memory_limit_hits == hits
 
 
 def test_a_missing_limit_is_none(tmp_path: Path) -> None:
@@ -255,6 +270,12 @@ def test_without_a_cgroup_the_engine_is_asked(tmp_path: Path) -> None:
     assert bench.probe.container("ros_app") is not fact and bench.engine.asked == [ID, ID]
 
 
+def test_a_container_without_a_memory_limit_has_none_in_the_statistics(tmp_path: Path) -> None:
+    """The engine answers with the memory of the machine then."""
+    fact = Bench(tmp_path / "nowhere", memory_limit=None).probe.container("ros_app")
+    assert fact is not None and (fact.memory_bytes, fact.memory_limit) == (11763712, None)
+
+
 def test_page_faults_of_the_engine_count_only_close_to_the_limit(tmp_path: Path) -> None:
     """Version 1 has no refaults, and a program that maps a large file for the first time has faults, too."""
     memory = {"usage": 66060288, "limit": 67108864, "stats": {"pgmajfault": 10}}
@@ -322,148 +343,3 @@ def test_any_response_of_the_engine_gives_a_fact_or_nothing(part: Any, name: str
     container = ContainerFact("a", ID, "running", "then")
     fact = engine_stats.pressure_fact({**STATS, name: part}, container, 1.0)
     assert fact is None or fact.source == engine_stats.SOURCE
-
-
-class TwoContainers:
-    """Two containers, one of them configured, on a machine whose CPUs are counted in `proc`."""
-
-    def __init__(self, tmp_path: Path, files: bool = True) -> None:
-        self.root, self.proc = tmp_path / "cgroup", tmp_path / "proc"
-        self.engine, self.clock, self.files = CountingEngine(), testing.FakeClock(), files
-        self.engine.names = [{"Id": OTHER, "Names": ["/slam"], "State": "running"}]
-        if files:
-            write(self.root, {"cgroup.controllers": "cpu\n"})
-        self.after(0, 0, 0)
-        self.consumers = TopConsumers(self.engine, self.root, self.clock, lambda: {ID: "ros_app"}, self.proc)  # type: ignore[arg-type]
-
-    def after(self, ours_s: float, slam_s: float, all_s: float) -> None:
-        """Set the CPU seconds used since the start."""
-        write(self.proc, {"stat": f"cpu  {round(all_s * 100)} 0 0 500 20 0 0 0 0 0\n"})
-        if self.files:
-            write(self.root / "docker" / ID, {"cpu.stat": f"usage_usec {round(ours_s * 1e6)}\n"})
-            write(
-                self.root / "system.slice" / f"docker-{OTHER}.scope",
-                {"cpu.stat": f"usage_usec {round(slam_s * 1e6)}\n"},
-            )
-            write(self.root / "system.slice" / "cron.service", {"cpu.stat": "usage_usec 9\n"})
-
-
-def test_consumers_are_sorted_by_usage(tmp_path: Path) -> None:
-    """By key or by the engine's name; a process outside containers has none. The first call has no reference."""
-    containers = TwoContainers(tmp_path)
-    assert containers.consumers.read() == ()
-    containers.clock.advance(2.0)
-    containers.after(0.2, 3.0, 3.9)
-    read = [(fact.name, round(fact.cpus, 2)) for fact in containers.consumers.read()]
-    assert read == [("slam", 1.5), ("", 0.35), ("ros_app", 0.1)]
-    assert containers.engine.asked == ["list"]
-
-
-def test_consumers_are_measured_at_limited_intervals(tmp_path: Path) -> None:
-    """Several checks ask at the same time, and an old measurement says nothing about now."""
-    containers = TwoContainers(tmp_path)
-    containers.consumers.read()
-    containers.clock.advance(1.0)
-    containers.after(0.0, 1.0, 1.0)
-    first = containers.consumers.read()
-    containers.clock.advance(LEAST_S / 2)
-    assert containers.consumers.read() is first and first[0].name == "slam"
-    containers.clock.advance(MOST_S + 1)
-    assert containers.consumers.read() == ()
-
-
-def test_a_container_without_a_name_of_the_engine_keeps_its_id(tmp_path: Path) -> None:
-    """As behind a proxy that does not allow a list."""
-    containers = TwoContainers(tmp_path)
-    containers.engine.names = EngineRefused("403")
-    containers.consumers.read()
-    containers.clock.advance(1.0)
-    containers.after(0.0, 1.0, 1.0)
-    assert containers.consumers.read() == (ConsumerFact(f"container {OTHER[:12]}", 1.0),)
-
-
-def test_without_cgroups_the_engine_provides_the_consumers(tmp_path: Path) -> None:
-    """One request for each running container, the configured ones first."""
-    containers = TwoContainers(tmp_path, files=False)
-    containers.consumers.read()
-    assert containers.engine.asked == ["list", ID, OTHER]
-    containers.clock.advance(1.0)
-    containers.consumers.read()
-    assert containers.engine.asked == ["list", ID, OTHER], "not so soon again"
-    containers.clock.advance(4.0)
-    containers.engine.answer = {"cpu_stats": {"cpu_usage": {"total_usage": 2680194374}}}
-    assert {fact.name: round(fact.cpus, 2) for fact in containers.consumers.read()}["slam"] == 0.5
-
-
-def test_a_proxy_that_refuses_the_list_is_asked_once(tmp_path: Path) -> None:
-    """Each refusal is a line in the proxy's log; the configured containers are known without it."""
-    containers = TwoContainers(tmp_path, files=False)
-    containers.engine.names = EngineRefused("403")
-    for _ in range(3):
-        containers.consumers.read()
-        containers.clock.advance(5.0)
-    assert containers.engine.asked == ["list", ID, ID, ID]
-
-
-def test_a_restarted_container_is_not_counted_as_other_programs(tmp_path: Path) -> None:
-    """Its counter restarts at 0: neither its share nor that of other programs is known for that measurement."""
-    containers = TwoContainers(tmp_path)
-    containers.after(500.0, 0.0, 500.0)
-    containers.consumers.read()
-    containers.clock.advance(1.0)
-    containers.after(-1.0, 1.0, 2.0)
-    assert [fact.name for fact in containers.consumers.read()] in ([], ["slam"], [f"container {OTHER[:12]}"])
-
-
-def test_a_slow_engine_is_not_asked_about_all_containers(tmp_path: Path) -> None:
-    """The time budget is for all requests together."""
-    containers = TwoContainers(tmp_path, files=False)
-    slow = containers.engine.stats
-
-    def stats(container: str, **more: Any) -> Any:
-        containers.clock.advance(5.0)
-        return slow(container, **more)
-
-    containers.engine.stats = stats  # type: ignore[method-assign]
-    containers.consumers.read()
-    assert containers.engine.asked == ["list", ID]
-
-
-class ManyContainers(CountingEngine):
-    """Sixty running containers; the one that uses two CPUs was started first, so the engine lists it last."""
-
-    def __init__(self, clock: Any, takes_s: float) -> None:
-        super().__init__()
-        self.clock, self.takes_s = clock, takes_s
-        ids = [f"{number:064x}" for number in range(60, 0, -1)]
-        self.names = [{"Id": each, "Names": [f"/c{int(each, 16)}"], "State": "running"} for each in ids]
-
-    def stats(self, container: str, **_: Any) -> Any:
-        self.clock.advance(self.takes_s)
-        used_s = 2.0 * self.clock.mono() if container.endswith("01") else 1.0
-        return {"cpu_stats": {"cpu_usage": {"total_usage": round(used_s * 1e9)}}}
-
-
-@pytest.mark.parametrize("takes_s", [0.02, 0.5])
-def test_every_container_is_asked_about_in_turn(tmp_path: Path, takes_s: float) -> None:
-    """However many run and however slow the engine is: those asked about in one reading are not always the same."""
-    containers = TwoContainers(tmp_path, files=False)
-    containers.consumers._engine = ManyContainers(containers.clock, takes_s)  # type: ignore[assignment]
-    found: tuple[ConsumerFact, ...] = ()
-    for _ in range(40):
-        found = containers.consumers.read()
-        if found:
-            break
-        containers.clock.advance(5.0)
-    assert [(fact.name, round(fact.cpus, 2)) for fact in found] == [("c1", 2.0)]
-
-
-def test_other_programs_are_not_blamed_while_the_containers_are_unknown(tmp_path: Path) -> None:
-    """The engine does not answer, or a proxy refuses its list: what uses the CPU may be a container."""
-    for error in (EngineRefused("403"), CannotTell("the engine did not answer")):
-        containers = TwoContainers(tmp_path, files=False)
-        containers.engine.names = error
-        containers.consumers.read()
-        containers.clock.advance(5.0)
-        containers.after(0.0, 0.0, 10.0)
-        assert containers.consumers.read() == ()

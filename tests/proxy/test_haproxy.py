@@ -14,6 +14,7 @@ from phm.cli import group
 from phm.proxy.calls import calls, exact
 from phm.proxy.haproxy import NoRules, quoted, rules
 from phm.testing import settings
+from phm.transport import docker_bodies
 from phm.transport.docker import DockerEngine
 
 ENGINE = "/var/run/docker.sock"
@@ -131,6 +132,22 @@ def test_each_kind_of_call_is_in_the_documented_table() -> None:
     assert used - documented == set()
     assert len(used) > 12
     assert all(call.starts in table for call in made)
+
+
+@pytest.mark.parametrize("fixed", [(), ("10.9.0.7",), ("fd00::7",), ("10.9.0.7", "fd00::7")])
+@pytest.mark.parametrize("names", [(), ("one",), ("one", "two")])
+def test_a_connection_with_aliases_and_fixed_addresses_is_allowed(
+    names: tuple[str, ...], fixed: tuple[str, ...]
+) -> None:
+    """As `reconnect` and `join_network` ask for it, and nothing that is added to it."""
+    entry = {"name": "app", "recover": True, "networks": ["swarm"]}
+    bodies = [str(call.body) for call in calls(settings(docker=DOCKER, containers=[entry])) if call.path == "/connect"]
+    assert len(bodies) == 2
+    for name in ("phm", "app"):
+        text = docker_bodies.connect(name, names, fixed)
+        assert [bool(re.fullmatch(body, text)) for body in bodies].count(True) == 1
+        more = text.removesuffix("}}") + ', "Links": []}}'
+        assert not any(re.fullmatch(body, more) for body in bodies)
 
 
 def test_the_running_containers_are_listed_only_where_requested() -> None:

@@ -92,7 +92,7 @@ def test_requests_that_phm_needs_pass(place: Place) -> None:
         client.unpause(ref)
     for network in (net.name, net.id):
         client.disconnect(network, app.name, force=True)
-        client.connect(network, app.name, aliases=["one", "two"], address="")
+        client.connect(network, app.name, aliases=["one", "two"])
         client.connect(network, place.me)
         client.disconnect(network, place.me, force=True)
     client.exec_detached(app.id, RUN)

@@ -126,6 +126,26 @@ def test_evidence_of_a_check_overrides_the_published_state(never: bool, seconds:
     assert isinstance(say(fault=known), expected)
 
 
+@pytest.mark.parametrize(("never", "seconds"), [(True, 60.0), (None, 0.0), (None, 9.0)])
+def test_an_address_that_never_responded_is_left_alone(never: bool | None, seconds: float) -> None:
+    """PHM may not reach the network of a healthy container: nothing is done or advised."""
+    known = was_ok("address_silent", seconds)
+    known = replace(known, result=replace(known.result, evidence=Evidence(never_ok=never)))
+    assert isinstance(say(fault=known), Skip)
+    rules = RecoverySettings(ladders={"address_silent": ["restart"]})
+    assert say(fault=known, settings=rules) == Act("restart", 1)
+
+
+@pytest.mark.parametrize(("never", "seconds"), [(False, 0.0), (None, 60.0)])
+def test_an_address_that_responded_before_gets_every_step(never: bool | None, seconds: float) -> None:
+    """It responded in this run of PHM, or of the container. A restart follows when a reconnection has not helped, and so on."""
+    known = was_ok("address_silent", seconds)
+    known = replace(known, result=replace(known.result, evidence=Evidence(never_ok=never)))
+    assert say(fault=known) == Act("reconnect", 1)
+    assert say(attempts(950.0, condition="address_silent"), fault=known) == Act("restart", 2)
+    assert say(attempts(900.0, 950.0, condition="address_silent"), fault=known) == Act("restart", 3)
+
+
 def test_a_failed_restart_is_reported_although_the_unit_was_never_ok_after_it() -> None:
     """That it was never OK since then is the failure: a restart that says nothing is repeated. A start by others does not count."""
     known = was_ok("transport_blocked", 60.0)

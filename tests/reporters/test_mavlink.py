@@ -45,6 +45,10 @@ class Scene:
                 name, name, slot, Layer.ROS, Level.OK, Result(Level.OK, ""), self.clock.stamp()
             )
         self.settings = settings(agent={"id": agent}, mavlink=mavlink_settings)
+        self.restart()
+
+    def restart(self, requests: tuple[ActionEvent, ...] = ()) -> None:
+        """A new PHM, with these requests to the operator from the one before."""
         context = ReporterContext(
             reporter_settings(self.settings),
             self.clock,
@@ -53,6 +57,7 @@ class Scene:
             lambda: self.alive,
             dict,
             self.port,
+            requests=requests,
         )
         built = MavlinkReporter.build(context)
         assert built is not None
@@ -208,6 +213,30 @@ def test_an_action_to_approve_has_its_number() -> None:
     scene.reporter.gcs_appeared()
     scene.pass_time(6.0)
     assert not any("#17" in text for _, text in scene.port.lines())
+
+
+def test_a_request_to_the_operator_survives_a_restart_of_phm() -> None:
+    """Recovery does not ask again for a restored fault: a ground station that appears gets the request from the new PHM."""
+    scene = Scene().running()
+    scene.become("container/app", Level.ERROR, "app exited")
+    asked = [ActionEvent(scene.clock.stamp(), "ab12-17", "container/app", "restart", "app", Phase.ADVISED)]
+    scene.restart(requests=tuple(asked))
+    scene.running()
+    scene.reporter.gcs_appeared()
+    scene.pass_time(1.0)
+    assert (4, "A01 ADVISE 2 restart app #17 60s") in scene.port.lines()
+
+
+def test_a_request_is_sent_again_while_its_unit_is_unknown() -> None:
+    """The fault is still open, and the ground station that appears now has not received it."""
+    scene = Scene().running()
+    scene.become("container/app", Level.ERROR, "app exited")
+    act(scene, Phase.ADVISED)
+    scene.become("container/app", Level.STALE)
+    scene.port.sent.clear()
+    scene.reporter.gcs_appeared()
+    scene.pass_time(1.0)
+    assert (4, "A01 ADVISE 2 restart app #17 60s") in scene.port.lines()
 
 
 @pytest.mark.parametrize(

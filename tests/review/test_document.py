@@ -70,6 +70,15 @@ def test_five_sentences_say_what_matters(tmp_path: Path) -> None:
     ]
 
 
+def test_the_first_sentence_has_the_date_of_the_end_if_it_is_another(tmp_path: Path) -> None:
+    """A record over midnight."""
+    midnight = 12 * 3600
+    made = Flown(tmp_path, start=midnight - 20)
+    made.until(midnight + 40)
+    made.close()
+    assert "from 2026-03-01 23:59:40 to 2026-03-02 00:00:40 UTC" in report(tmp_path)["sentences"][0]
+
+
 def test_one_flight_is_chosen_by_its_number(tmp_path: Path) -> None:
     """A flight is from arming to disarming, and what is outside does not count."""
     one_flight(tmp_path).close()

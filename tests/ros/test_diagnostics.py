@@ -80,6 +80,21 @@ def test_two_nodes_are_received_on_one_topic(bench: Bench) -> None:
     )
 
 
+def test_two_nodes_with_one_status_name_are_both_received(bench: Bench) -> None:
+    """diagnostic_updater leaves out the namespace; the nodes differ by the identity of their publishers."""
+    left, right, probe = Speaker(bench), Speaker(bench, "camera_2"), listening(bench)
+    left.say([FREQUENCY, 2, "left", "none", {}])
+    right.say([FREQUENCY, 0, "right", "none", {}])
+
+    def both(fact: RosFact) -> Any:
+        found = fact.diagnostic_sources.get(FREQUENCY, ())
+        return {status.message: status.level for status in found} == {"left": 2, "right": 0} and fact
+
+    seen(probe, both, "both")
+    left.process.kill()
+    seen(probe, lambda fact: both(fact) and max(f.age_s for f in fact.diagnostic_sources[FREQUENCY]) > 2.0, "silence")
+
+
 @pytest.mark.one_distribution
 def test_phm_ignores_diagnostics_of_phm(bench: Bench) -> None:
     """Neither its own array nor that of another agent's PHM in the same domain."""

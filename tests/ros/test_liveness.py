@@ -11,8 +11,9 @@ import pytest
 
 from phm import api, testing
 from phm.checking import plan
+from phm.checking.check_turns import CheckRun
 from phm.checking.pipeline import Pipeline
-from phm.checking.scheduler import CheckRun, CheckScheduler
+from phm.checking.scheduler import CheckScheduler
 from phm.core.bus import Bus
 from phm.core.clock import SystemClock
 from phm.core.model import Event, Fault, FaultClosed, FaultOpened, Level, Transition, UnitState

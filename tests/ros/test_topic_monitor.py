@@ -200,6 +200,37 @@ def test_a_large_topic_is_subscribed_in_windows(bench: Bench, tmp_path: Path, co
 
 
 @pytest.mark.one_distribution
+def test_a_large_topic_that_is_published_only_while_subscribed_has_its_rate(bench: Bench, tmp_path: Path) -> None:
+    """As image_transport publishes, and a container with intra-process communication: with another subscription, and without."""
+    code = (
+        "import rclpy; from std_msgs.msg import String; rclpy.init(args=[]); n = rclpy.create_node('viewer')\n"
+        f"n.create_subscription(String, '{TOPIC}', lambda _: None, 5); rclpy.spin(n)"
+    )
+    path = tmp_path / "sent"
+    flows(bench, "source", path, "topic_1:20:200000:lazy")
+    other = subprocess.Popen([sys.executable, "-c", code], env=bench.environ, cwd=ROOT)
+    probe = bench.probe([{"name": TOPIC, "rate": 20}])
+
+    pauses: set[int] = set()
+
+    def is_right(fact: RosFact) -> bool:
+        return rate_of(fact).matched is None and rate_of(fact).hz == pytest.approx(20.0, rel=0.1)
+
+    def is_right_in_pauses(fact: RosFact) -> bool:
+        """In four pauses in which nothing is published."""
+        if is_right(fact) and time.time() - sent(path)[-1][1] > 0.5:
+            pauses.add(rate_of(fact).samples)
+        return len(pauses) >= 4
+
+    try:
+        seen(probe, is_right, "the rate with another subscription", 120.0)
+    finally:
+        other.kill()
+        other.wait()
+    seen(probe, is_right_in_pauses, "the rate without another subscription", 120.0)
+
+
+@pytest.mark.one_distribution
 def test_simulated_time_does_not_matter(bench: Bench, tmp_path: Path) -> None:
     """The stamps are the middleware's: a node whose clock is stopped has its real rate."""
     flows(bench, "source", tmp_path / "sent", "topic_1:20:sim")

@@ -6,8 +6,8 @@ import signal
 from itertools import pairwise
 
 from phm.facts import EndpointFact, RateFact, RosFact, TopicFact
-from phm.probes.ros.renewal_pace import REST_MOST_S, REST_S
-from phm.probes.ros.unnamed_participants import UNNAMED_S, UnnamedParticipants
+from phm.probes.ros.renewal_pace import REST_S
+from phm.probes.ros.unnamed_participants import TRIES, UNNAMED_S, UnnamedParticipants
 from tests.fakes.ros_bench import Bench, seen
 
 STRING = "std_msgs/msg/String"
@@ -39,18 +39,39 @@ def test_lost_names_are_looked_up_with_a_new_participant() -> None:
     help.
     """
     unnamed = UnnamedParticipants()
-    assert unnamed.observe(NAMED, 0.0) == ()
+    assert unnamed.observe(NAMED, -UNNAMED_S) == unnamed.observe(NAMED, 0.0) == ()
     assert unnamed.observe(NAMELESS, 1.0) == ()
     assert unnamed.observe(NAMELESS, 0.9 + UNNAMED_S) == ()
     assert unnamed.observe(NAMELESS, 1.0 + UNNAMED_S) == (TOPIC,)
     looked = [at for at in range(10, 2000) if unnamed.observe(NAMELESS, float(at))]
-    assert [later - earlier for earlier, later in pairwise([6, *looked])] == [
-        REST_S,
-        2 * REST_S,
-        4 * REST_S,
-        8 * REST_S,
-        REST_MOST_S,
-    ]
+    assert [later - earlier for earlier, later in pairwise([6, *looked])] == [REST_S, 2 * REST_S]
+    assert len(looked) == TRIES - 1
+
+
+def test_an_endpoint_without_a_node_causes_one_new_participant() -> None:
+    """PX4's uXRCE-DDS agent is not a ROS node: its topics flow and never get a name. A new participant lists a named
+    subscriber a moment before it, which does not count as complete."""
+    publisher, subscriber = EndpointFact("", STRING), EndpointFact(NODE, STRING)
+    flowing = {TOPIC: TopicFact((publisher,), (), FLOWING)}
+    unnamed = UnnamedParticipants()
+    assert [bool(unnamed.observe(flowing, float(at))) for at in range(3600)].count(True) == 1
+    both = {TOPIC: TopicFact((publisher,), (subscriber,), FLOWING)}
+    unnamed, looked = UnnamedParticipants(), 0
+    for at in range(3600):
+        if unnamed.observe(both, float(at)):
+            looked += 1
+            unnamed.observe({TOPIC: TopicFact((), (subscriber,))}, at + 0.5)
+    assert looked == 1
+
+
+def test_after_its_names_were_complete_a_topic_may_cause_new_participants_again() -> None:
+    """Losing them again is a new defect."""
+    unnamed = UnnamedParticipants()
+    unnamed.observe(NAMED, 0.0)
+    assert sum(bool(unnamed.observe(NAMELESS, float(at))) for at in range(1, 1000)) == 1
+    unnamed.observe(NAMED, 1000.0)
+    unnamed.observe(NAMED, 1000.0 + UNNAMED_S)
+    assert sum(bool(unnamed.observe(NAMELESS, float(at))) for at in range(1010, 2000)) == TRIES
 
 
 def test_an_endpoint_that_never_had_a_name_is_ignored_unless_its_data_arrive() -> None:

@@ -18,11 +18,16 @@ from typing import Any
 import pytest
 
 from phm.api import error
+from phm.checking.plan import CheckPlan
+from phm.core.dependency_graph import DependencyGraph
 from phm.facts import Attachment, ContainerFact
 from phm.probes.docker import Docker
+from phm.recovery.operator.requests import OperatorRequests
 from phm.recovery.persistence.state import PersistedState
+from phm.runtime.configuration import Configuration
 from phm.runtime.daemon import Daemon
 from phm.runtime.main_loop import MainLoop
+from phm.runtime.reloader import Reloader
 from phm.runtime.wiring import build_daemon, build_successor
 from phm.testing import settings
 from phm.wire import control, json_log, status_file
@@ -172,7 +177,7 @@ def test_a_successor_knows_what_cannot_be_observed_again(
 ) -> None:
     """How a container that is disconnected now was connected, for `reconnect`; and a fault that the main loop opens last."""
     patient()
-    attached = Attachment("fleet", "n1", "172.30.0.5", aliases=("ros",), fixed_address="172.30.0.5")
+    attached = Attachment("fleet", "n1", "172.30.0.5", aliases=("ros",), fixed_addresses=("172.30.0.5",))
     networks, handed, hand_over, join = [attached], list[PersistedState](), Daemon._hand_over, MainLoop.join
 
     def container(docker: Docker, name: str, young_s: float = 0.0) -> ContainerFact:
@@ -287,6 +292,34 @@ def test_an_unchanged_configuration_replaces_nothing(agent: Agent) -> None:
     done = agent.reload()
     assert (done.returncode, done.stdout) == (0, "configuration reloaded: no changes\n")
     assert agent.status()["boot_id"] == boot
+
+
+def test_a_reload_waits_for_a_stop_by_hand_and_for_a_requested_restart(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The new daemon would not know of either. The reason is reported."""
+    folders = {"state_dir": str(tmp_path / "s"), "run_dir": str(tmp_path / "r"), "log": {"directory": str(tmp_path)}}
+    old = settings(
+        containers=[{"name": "app", "recover": True}], docker={"socket": f"unix://{tmp_path}/none"}, **folders
+    )
+    daemon = build_daemon(old)
+    wanted = old.model_copy(update={"interval": 3.0})
+    reloader, notes = (
+        Reloader(lambda: Configuration("", wanted, {}, CheckPlan((), (), DependencyGraph({})))),
+        list[str](),
+    )
+    monkeypatch.setattr(daemon.pipeline, "note", lambda kind, text: notes.append(text))
+    for event in ("kill", "die", "stop"):
+        daemon.components.holds.happened("app", event, "")
+    assert reloader.run(daemon) is daemon
+    assert "an operator may be stopping app: reload again in 3 s" in notes[-1]
+    daemon.components.holds.happened("app", "start", "")
+    monkeypatch.setattr(OperatorRequests, "next", lambda requests: None)  # it stays as it is
+    monkeypatch.setattr(OperatorRequests, "end", lambda requests: None)
+    daemon.components.executor.restart("app", "the test")
+    assert reloader.run(daemon) is daemon
+    assert "an action is in progress (restart of app): reload again when it is finished" in notes[-1]
+    daemon.components.executor.stop()
 
 
 def test_cyclic_dependencies_are_rejected(agent: Agent) -> None:

@@ -75,6 +75,8 @@ def test_a_container_brings_the_owner_of_its_network() -> None:
         ({"name": "my agent"}, "--name: 'my agent'"),
         ({"containers": ["ap"]}, "--container: there is no container ap; running containers: app"),
         ({"mavlink": "udp:1"}, "--mavlink: .*udpout:HOST:PORT.*or none"),
+        ({"mavlink": "udpout://10.0.0.5:14550"}, "--mavlink: .*write udpout:HOST:PORT, without //"),
+        ({"mavlink": "/dev/ttyAMA0,115200"}, "--mavlink: .*the speed is the key 'baud'"),
         ({"containers": ["app"], "flight_critical": ["gone"]}, "--flight-critical: there is no container gone"),
         ({"flight_critical": ["app"], "recover": False}, "no meaning with --no-recover"),
         ({"containers": ["app"], "flight_critical": ["app"], "mavlink": "none"}, "needs --mavlink"),

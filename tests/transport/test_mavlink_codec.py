@@ -103,9 +103,9 @@ def test_version_1_frames_are_read() -> None:
 def test_unwanted_messages_are_skipped_and_counted() -> None:
     """The autopilot's stream is not decoded; frames behind it are found."""
     reader = parser(0)
-    assert names(reader.feed(TEXT + FRAME)) == ["HEARTBEAT"]
-    assert reader._counters.received == 2
-    assert reader.verified == 1
+    assert names(reader.feed(FRAME + TEXT + FRAME)) == ["HEARTBEAT", "HEARTBEAT"]
+    assert reader._counters.received == 3
+    assert reader.verified == 2
 
 
 def test_messages_of_other_dialects_are_skipped_entirely() -> None:

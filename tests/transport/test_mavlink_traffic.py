@@ -55,10 +55,10 @@ def test_senders_are_limited() -> None:
 
 
 def test_ignored_frames_count_as_well() -> None:
-    """Loss is measured with all frames, though most are never decoded."""
+    """Loss is measured with all frames, though most are never decoded. Each of those counts when the next one begins."""
     codec = Codec(7, 193, lambda number: False)
     sender, reader = Sender(7, 1), codec.parser()
-    frames = [sender.frame(heartbeat(n), v1=n % 2 == 0) for n in range(10)]
+    frames = [sender.frame(heartbeat(n), v1=n % 2 == 0) for n in range(11)]
     for frame in frames[:3] + frames[5:]:
         assert reader.feed(frame) == []
     assert codec.senders.now() == {(7, 1): (8, 2)}

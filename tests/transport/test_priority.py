@@ -12,9 +12,12 @@ from phm.transport.priority import (
     MAX_WAITING,
     RADIO_BYTES_S,
     REST,
+    ROUTINE,
+    ROUTINE_ROOM,
     SLOWEST,
     SWARM_BYTES_S,
     TXBUF_STALE_S,
+    UNSIGNED_LAST,
     FlowControl,
     LinkBudget,
     MessagePriority,
@@ -58,14 +61,20 @@ def test_never_more_than_burst_and_rate(drawn: list[tuple[float, list[QueuedMess
 
 @given(st.lists(items, max_size=60))
 def test_nothing_is_lost_unless_a_newer_one_replaced_it(put: list[QueuedMessage]) -> None:
-    """Without a limit; the order is by priority, then urgency, and each replacement is counted."""
+    """Without a limit; the order is by priority, then urgency, apart from the turns of answers and routine messages. Each
+    replacement is counted.
+    """
     budget = LinkBudget(None, 0.0)
     for item in put:
         budget.put(item)
     newest = {item.key: item for item in put}
     left = taken(budget, 0.0)
     assert {item.key: item for item in left} == newest
-    assert [(item.kind, item.urgency) for item in left] == sorted((item.kind, item.urgency) for item in left)
+    for kinds in ({MessagePriority.TRANSITION, MessagePriority.STATE}, ROUTINE, {MessagePriority.REQUEST}):
+        order = [(item.kind, item.urgency) for item in left if item.kind in kinds]
+        assert order == sorted(order)
+    changes = sum(item.kind <= MessagePriority.STATE for item in left)
+    assert all(item.kind <= MessagePriority.STATE for item in left[:changes])
     assert sum(count.coalesced for count in budget.counts.values()) == len(put) - len(newest)
 
 
@@ -78,7 +87,55 @@ def test_a_fault_is_sent_before_repeated_messages() -> None:
     budget.put(QueuedMessage("node_1", MessagePriority.TRANSITION, 60, None, 2))
     assert taken(budget, 5.9) == []  # 59 bytes would be enough for the refresh, which does not overtake
     assert [item.key for item in taken(budget, 6.0)] == ["node_1"]
-    assert [item.key for item in taken(budget, 9.0)] == ["refresh"]
+    assert taken(budget, 6.0 + (ROUTINE_ROOM + 29) / 10) == []
+    assert [item.key for item in taken(budget, 6.0 + (ROUTINE_ROOM + 30) / 10)] == ["refresh"]
+
+
+@pytest.mark.parametrize("kind", [kind for kind in MessagePriority if kind is not MessagePriority.TRANSITION])
+def test_a_new_fault_is_sent_when_everything_else_has_used_what_it_may(kind: MessagePriority) -> None:
+    """The longest signed line; by a full state, views, refreshes or answers."""
+    budget = LinkBudget(1.0, 0.0)
+    for number in range(20):
+        budget.put(QueuedMessage(str(number), kind, 60, None))
+    assert len(taken(budget, 0.0)) < 20
+    budget.put(QueuedMessage("fault", MessagePriority.TRANSITION, 76, None, 2))
+    assert [item.key for item in taken(budget, 0.0)] == ["fault"]
+
+
+def test_an_answer_is_sent_before_a_refresh_that_waits() -> None:
+    """And one to an unsigned sender after it, where signing is on."""
+    budget = LinkBudget(10.0, 0.0)
+    for number in range(10):
+        budget.put(QueuedMessage(f"refresh {number}", MessagePriority.REFRESH, 40, None, 6))
+    assert len(taken(budget, 0.0)) == (BURST_MIN - ROUTINE_ROOM) // 40
+    budget.put(QueuedMessage("unsigned", MessagePriority.REQUEST, 35, None, UNSIGNED_LAST))
+    budget.put(QueuedMessage("ack", MessagePriority.REQUEST, 35, None))
+    budget.put(QueuedMessage("reply", MessagePriority.REQUEST, 80, None, 2))
+    assert [item.key for item in taken(budget, 0.0)] == ["ack", "reply"]
+
+
+def test_many_commands_do_not_stop_views_and_refreshes() -> None:
+    """Answers and routine messages take turns: each gets about half of the bytes."""
+    budget = LinkBudget(10.0, 0.0)
+    for second in range(3600):
+        budget.put(QueuedMessage(f"ack {second % 50}", MessagePriority.REQUEST, 35, None))
+        if second % 10 == 0:
+            budget.put(QueuedMessage("view", MessagePriority.SWARM, 40, None))
+            budget.put(QueuedMessage("refresh", MessagePriority.REFRESH, 60, None, 6))
+        taken(budget, float(second))
+    routine = sum(budget.counts[kind].bytes for kind in ROUTINE)
+    assert routine > 0.4 * (routine + budget.counts[MessagePriority.REQUEST].bytes)
+
+
+@pytest.mark.parametrize("kind", MessagePriority)
+def test_no_message_is_too_large_for_what_is_left_to_it(kind: MessagePriority) -> None:
+    """The largest of each priority, with a signature: a line, a TUNNEL, ONBOARD_COMPUTER_STATUS."""
+    largest = {MessagePriority.SWARM: 158, MessagePriority.REQUEST: 263}.get(kind, 76)
+    budget = LinkBudget(SWARM_BYTES_S, 0.0, agents=100)
+    budget.put(QueuedMessage("first", MessagePriority.TRANSITION, int(BURST_MIN), None))
+    assert taken(budget, 0.0)
+    budget.put(QueuedMessage("largest", kind, largest, None))
+    assert taken(budget, 3600.0)
 
 
 def test_heartbeats_use_the_common_budget() -> None:

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
 from phm.core.settings.base import AbsolutePath, Name, Percent, Seconds, Section
+from phm.core.settings.hosts import check_host
+
+_SPEED = re.compile(r"[:,][0-9]{4,}$")
+"""How MAVProxy and MAVROS write a speed. Names in /dev/serial/by-path have colons too, before shorter numbers."""
 
 
 class EndpointSettings(Section):
@@ -54,15 +59,23 @@ class EndpointSettings(Section):
     def _known_form(cls, value: str) -> str:
         scheme, _, rest = value.partition(":")
         if value.startswith("/"):
+            if _SPEED.search(value):
+                raise ValueError(f"{value!r} ends with a speed: write the path alone, the speed is the key 'baud'")
             return value
         if scheme not in ("udpin", "udpout", "udpbcast", "tcp", "tcpin"):
             raise ValueError(
                 f"{value!r} is not a MAVLink endpoint: allowed are udpout:HOST:PORT, udpin:HOST:PORT, "
                 "udpbcast:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT and a device path such as /dev/ttyUSB0"
             )
+        if rest.startswith("/"):
+            raise ValueError(f"{value!r}: write {scheme}:HOST:PORT, without //")
         host, _, port = rest.rpartition(":")
-        if not host or not port.isdecimal() or not 1 <= int(port) <= 65535:
+        if not host.strip("[]") or not port.isdecimal() or not 1 <= int(port) <= 65535:
             raise ValueError(f"{value!r} needs a host and a port of 1 to 65535, e.g. {scheme}:127.0.0.1:14550")
+        try:
+            check_host(host)
+        except ValueError as error:
+            raise ValueError(f"{value!r}: {error}") from error
         return value
 
 

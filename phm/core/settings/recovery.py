@@ -11,7 +11,7 @@ from phm.core.settings.base import Name, Seconds, Section
 
 
 class ManualStopSettings(Section):
-    """How to treat a stop by an operator (`docker stop`, `docker compose stop`, `down`)."""
+    """How to treat a stop or a pause by an operator (`docker stop`, `docker pause`, `docker compose stop`, `down`)."""
 
     ground: Literal["heal", "advise", "respect"] = "respect"
     """While the autopilot reports that it is disarmed."""
@@ -94,10 +94,10 @@ class RecoverySettings(Section):
     approval: Annotated[Seconds, Field(ge=5, le=600)] = 60.0
     """Seconds for which an approval is valid; after that the action must be approved again."""
     on_manual_stop: ManualStop = ManualStopSettings()
-    """How to treat a container that an operator stopped or removed. `heal`: like a failure; `advise`: raise an alarm and only
-    recommend an action; `respect`: put it on hold. One value, or one each for `ground` and `air`."""
+    """How to treat a container that an operator stopped, paused or removed. `heal`: like a failure; `advise`: raise an alarm and
+    only recommend an action; `respect`: put it on hold. One value, or one each for `ground` and `air`."""
     hold: Annotated[Seconds, Field(ge=1, le=86400)] = 600.0
-    """How long a hold lasts without `phm hold --for`, and after a stop that is respected."""
+    """How long a hold lasts without `phm hold --for`, and after a stop or a pause that is respected."""
     hold_max: Annotated[Seconds, Field(ge=1, le=86400)] = 14400.0
     """The longest hold that `phm hold` accepts."""
     relieve: Annotated[list[Name], Field(max_length=16)] = Field(default_factory=list)

@@ -142,8 +142,8 @@ class RequestHandler:
         if command == operator.list_containers():
             self._station.forget_containers(row["agent"], row["component"])
 
-        def transmit(confirmation: int) -> None:
-            self._station.command(row["agent"], row["component"], command, confirmation, row["link"] or "")
+        def transmit(confirmation: int, nonce: float) -> None:
+            self._station.command(row["agent"], row["component"], command, confirmation, nonce, row["link"] or "")
 
         self._number += 1
         exchange = Exchange(row["name"], command, transmit, self._clock.mono())

@@ -44,15 +44,21 @@ class _Rival:
 class _NodeBeacon:
     """The newest beacon of one node, when it arrived (monotonic), and how much of its silence has been reported.
 
-    rivals: by witness. copied_by: who used its identity last, and when. turned_since: its executor has run since then.
+    Most beacons only continue, so a fact with the fields below is created for those that the daemon is sent.
+
+    neighbours: its newest beacon that lists neighbours. ran_since: as of the fact; turned_since: its executor has run since then.
+    rivals: by witness. copied_by: who used its identity last, and when. reported: what the daemon knows of the two.
     """
 
     fact: BeaconFact
     at_s: float
+    neighbours: BeaconFact
+    ran_since: float | None = None
+    turned_since: float | None = None
     doubt: int = 0
     rivals: dict[str, _Rival] = field(default_factory=dict)
     copied_by: tuple[str, float] = ("", 0.0)
-    turned_since: float | None = None
+    reported: tuple[int, str] = (0, "")
 
     def ran(self, later: BeaconFact) -> tuple[float | None, float | None]:
         """Since when the executor has run twice, and once, as the next beacon of the same process shows: turns that this one does not
@@ -61,16 +67,31 @@ class _NodeBeacon:
         if later.birth != self.fact.birth:
             return None, None
         if turns <= 0:
-            return self.fact.ran_since, self.turned_since
+            return self.ran_since, self.turned_since
         return self.at_s if turns > 1 else self.turned_since, self.at_s
 
-    def now(self, now_s: float) -> BeaconFact:
+    def age_s(self, now_s: float) -> float:
+        return round(max(0.0, now_s - self.at_s), 3)
+
+    def missed(self, now_s: float) -> float:
+        """Heartbeats that have not come."""
+        return self.age_s(now_s) / self.fact.period_s
+
+    def others(self, now_s: float) -> tuple[int, str]:
+        """The number of rivals, and who uses its identity."""
         who, at_s = self.copied_by
+        return self._rivals(now_s) if self.rivals else 0, who if who and now_s - at_s <= COPIED_S else ""
+
+    def now(self, now_s: float) -> BeaconFact:
+        rivals, copied_by = self.others(now_s)
         return replace(
             self.fact,
-            age_s=round(max(0.0, now_s - self.at_s), 3),
-            rivals=self._rivals(now_s),
-            copied_by=who if who and now_s - at_s <= COPIED_S else "",
+            age_s=self.age_s(now_s),
+            rivals=rivals,
+            copied_by=copied_by,
+            views=self.neighbours.views,
+            full=self.neighbours.full,
+            ran_since=self.ran_since,
         )
 
     def record_heartbeat(self, witness: str, at_s: float) -> None:
@@ -129,9 +150,10 @@ class BeaconRegistry:
             if not self._is_genuine(facts[0][1].witness, writer, at_s):
                 raise ValueError("a copied identity")
             for name, fact, has_views in facts:
-                views = {node: view for node, view in fact.views.items() if node in self._nodes}
                 own = name in self._nodes
-                self._add(name, replace(fact, views=views if own else {}), at_s, has_views=has_views and own)
+                views = {node: view for node, view in fact.views.items() if own and node in self._nodes}
+                kept = fact if len(views) == len(fact.views) else replace(fact, views=views)
+                self._add(name, kept, at_s, has_views=has_views and own)
                 if writer is not None and self._is_of(name, fact.witness):
                     self._writers.setdefault(fact.witness, writer)
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError):
@@ -140,17 +162,16 @@ class BeaconRegistry:
     def changes(self, now_s: float) -> SelfReportUpdate | None:
         """Return what to report: all of each beacon with new content, only the age of a beacon that just continues."""
         for name, beacon in list(self._beacons.items()):
-            seen = beacon.now(now_s)
-            doubt = sum(seen.missed > limit for limit in DOUBT)
-            others = (seen.rivals, seen.copied_by) != (beacon.fact.rivals, beacon.fact.copied_by)
-            if doubt > beacon.doubt or others:
+            missed, others = beacon.missed(now_s), beacon.others(now_s)
+            doubt = sum(missed > limit for limit in DOUBT)
+            if doubt > beacon.doubt or others != beacon.reported:
                 self._changed.add(name)
-            beacon.doubt, beacon.fact = doubt, seen
+            beacon.doubt, beacon.reported = doubt, others
             if name not in self._nodes and now_s - beacon.at_s > FORGET_S:
                 del self._beacons[name]
         changes = {name: self._beacons[name].now(now_s) for name in self._changed if name in self._beacons}
         unchanged = self._received - self._changed
-        ages = {name: self._beacons[name].now(now_s).age_s for name in unchanged if name in self._beacons}
+        ages = {name: self._beacons[name].age_s(now_s) for name in unchanged if name in self._beacons}
         if len(self._writers) > len(self._beacons):
             witnesses = {beacon.fact.witness for beacon in self._beacons.values()}
             self._writers = {name: writer for name, writer in self._writers.items() if name in witnesses}
@@ -181,34 +202,26 @@ class BeaconRegistry:
         return beacon is not None and beacon.fact.witness == witness
 
     def _add(self, name: str, fact: BeaconFact, at_s: float, *, has_views: bool) -> None:
-        known, turned_since = self._beacons.get(name), None
+        known = self._beacons.get(name)
+        new = _NodeBeacon(fact, at_s, neighbours=fact)
         if known is None:
             others = len(self._beacons) - len(self._nodes & self._beacons.keys())
             if name not in self._nodes and others >= MAX_STRANGERS:
                 self.refused += 1
                 return
         elif known.fact.witness != fact.witness:
-            if known.now(at_s).missed <= SILENT_MISSES:
+            if known.missed(at_s) <= SILENT_MISSES:
                 known.record_heartbeat(fact.witness, at_s)
                 return  # two processes of one name: the first one still counts
             known = None
         else:
-            neighbours = fact if has_views else known.fact
-            ran_since, turned_since = known.ran(fact)
-            fact = replace(
-                fact,
-                rivals=known.fact.rivals,
-                copied_by=known.fact.copied_by,
-                views=neighbours.views,
-                full=neighbours.full,
-                ran_since=ran_since,
-            )
+            new.ran_since, new.turned_since = known.ran(fact)
+            new.neighbours = fact if has_views else known.neighbours
+            new.rivals, new.copied_by, new.reported = known.rivals, known.copied_by, known.reported
         if known is None or has_views or known.doubt or _differs(known.fact, fact):
             self._changed.add(name)
         self._received.add(name)
-        new = self._beacons[name] = _NodeBeacon(fact, at_s, turned_since=turned_since)
-        if known is not None:
-            new.rivals, new.copied_by = known.rivals, known.copied_by
+        self._beacons[name] = new
 
 
 def _differs(old: BeaconFact, new: BeaconFact) -> bool:

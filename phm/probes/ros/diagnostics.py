@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from phm.facts.ros import CONSENSUS, DIAGNOSTICS, DiagnosticFact
+from phm.probes.ros.diagnostic_sources import key_of, name_of
+from phm.probes.ros.message_taker import MessageTaker, Taken, by_rcl
 from phm.probes.ros.protocol import LogText, Message, Publish, SelfReportUpdate
 
 OWN_STATUS_PREFIX = "phm/"
@@ -50,6 +52,7 @@ class DiagnosticsListener:
         self._log_texts: list[Message] = []
         self._said: set[str] = set()
         self._readers: dict[str, Any] = {}
+        self._takers: dict[str, Callable[[], Taken | None]] = {}
         self._publishers: dict[str, Any] = {}
         self._published: dict[str, dict[str, tuple[DiagnosticFact, Any]]] = {}
         """The newest array of each topic, by status name: most are unchanged, and a message costs more than a comparison."""
@@ -57,17 +60,19 @@ class DiagnosticsListener:
         self._missing = False
         if listen and self._load():
             self._readers = {topic: self._reader(topic) for topic in listen}
+            self._takers = {topic: _taker(reader) for topic, reader in self._readers.items()}
 
     def poll(self) -> list[Message]:
-        """The newest of each status received since the last poll."""
+        """The newest status of each source received since the last poll."""
         received: dict[str, DiagnosticFact] = {}
         for topic, reader in self._readers.items():
-            for array in self._arrays(topic, reader):
+            for array, writer in self._arrays(topic, reader):
                 for status in array.status[:MAX_STATUSES]:
                     if status.name and not status.name.startswith(OWN_STATUS_PREFIX):
-                        received[status.name[:MAX_TEXT]] = _fact(status)
+                        fact = _fact(status)
+                        received[key_of(status.name[:MAX_TEXT], fact.hardware_id, writer)] = fact
         messages, self._log_texts = self._log_texts, []
-        kept = sorted(received.items(), key=lambda item: not self._is_own(item[0]))[:MAX_STATUSES]
+        kept = sorted(received.items(), key=lambda item: not self._is_own(name_of(item[0])))[:MAX_STATUSES]
         return [*messages, *portions(kept)]
 
     def publish(self, order: Publish) -> None:
@@ -130,8 +135,8 @@ class DiagnosticsListener:
         )
         return self._node.create_subscription(self._kinds.DiagnosticArray, topic, _never_called, qos, raw=True)
 
-    def _arrays(self, topic: str, reader: Any) -> Iterable[Any]:
-        """The messages in the queue, up to MAX_BYTES; the rest waits for the next poll.
+    def _arrays(self, topic: str, reader: Any) -> Iterable[tuple[Any, bytes | None]]:
+        """The messages in the queue with their writers, up to MAX_BYTES; the rest waits for the next poll.
 
         Taken as bytes first: arrays that are too long, and PHM's own, are never decoded.
         """
@@ -140,16 +145,16 @@ class DiagnosticsListener:
         left = MAX_BYTES
         with reader.handle:
             for _ in range(MAX_TAKES):
-                taken = reader.handle.take_message(reader.msg_type, True) if left > 0 else None
+                taken = self._takers[topic]() if left > 0 else None
                 if taken is None:
                     return
-                data = taken[0]
+                data, writer, _ = taken
                 if len(data) > MAX_BYTES:
                     self._say(f"an array of more than {MAX_BYTES // 1000} kB on {topic} is ignored")
                 elif not _own(data):
                     left -= len(data)
                     try:
-                        yield deserialize_message(data, reader.msg_type)
+                        yield deserialize_message(data, reader.msg_type), writer
                     except Exception as error:  # exceptions of rclpy and pybind: what was sent is not an array
                         self._say(f"a message on {topic} cannot be decoded: {error}")
 
@@ -203,6 +208,12 @@ def _fact(status: Any) -> DiagnosticFact:
 def _own(data: bytes) -> bool:
     """Whether a serialized array is PHM's: CDR header 4 bytes, stamp 8, length of frame_id 4 (with its final zero), text."""
     return data[12:16] == (len(_FRAME) + 1).to_bytes(4, "little") and data[16:20] == _FRAME + b"\0"
+
+
+def _taker(reader: Any) -> Callable[[], Taken | None]:
+    """Through rcl from the first message on: with two methods the identity of a writer would change."""
+    with reader.handle:
+        return by_rcl(reader.handle.pointer) or MessageTaker(reader).take
 
 
 def _never_called(_: object) -> None:

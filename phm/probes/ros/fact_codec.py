@@ -24,18 +24,23 @@ _PLAIN = frozenset({str, int, bool, type(None)})
 def pack(fact: Any) -> Any:
     """JSON-able form of a fact: dataclasses and tuples as lists, mappings as objects, and None for a number that is not finite:
     the reader would refuse it, and with it the entire message."""
-    kind = type(fact)
-    if kind in _PLAIN:
-        return fact
-    if isinstance(fact, float):
-        return fact if math.isfinite(fact) else None
+    kind: Any = type(fact)
+    return fact if kind in _PLAIN else _packer(kind)(fact)
+
+
+@functools.cache
+def _packer(kind: Any) -> Callable[[Any], Any]:
+    """The function that encodes values of this type."""
+    if issubclass(kind, float):
+        return lambda number: number if math.isfinite(number) else None
     if is_dataclass(kind):
-        return [pack(item) for item in _parts(kind)(fact)]
-    if isinstance(fact, (list, tuple)):
-        return [pack(item) for item in fact]
-    if isinstance(fact, Mapping):
-        return {key: pack(item) for key, item in fact.items()}
-    return fact
+        parts = _parts(cast(Any, kind))
+        return lambda fact: [pack(item) for item in parts(fact)]
+    if issubclass(kind, (list, tuple)):
+        return lambda items: [pack(item) for item in items]
+    if issubclass(kind, Mapping):
+        return lambda entries: {key: pack(item) for key, item in entries.items()}
+    return lambda other: other
 
 
 def value(hint: Any, data: Any) -> Any:

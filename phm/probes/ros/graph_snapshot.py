@@ -101,6 +101,7 @@ class GraphSnapshot:
             self.readiness.services,
             self.readiness.lifecycle,
             self.readiness.calls,
+            self.self_reports.same_named(now_s, late),
         )
 
     def _aged(self, name: str, topic: TopicFact, age_s: float, late: Callable[[float], float]) -> TopicFact:

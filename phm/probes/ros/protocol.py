@@ -65,12 +65,13 @@ class WantedData:
 @dataclass(frozen=True, slots=True)
 class WantedTopic:
     """rate_hz: the expected rate; 0 for a latched topic, None if not measured. silence_s: see RosSettings.silence. data: None:
-    its messages are not examined."""
+    its messages are not examined. least_silence_s: the silence limit never falls below this."""
 
     name: str
     rate_hz: float | None = None
     silence_s: float = 3.0
     data: WantedData | None = None
+    least_silence_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

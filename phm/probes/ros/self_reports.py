@@ -5,10 +5,11 @@ from __future__ import annotations
 import functools
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 from phm.facts.ros import BeaconFact, DiagnosticFact
+from phm.probes.ros.diagnostic_sources import DiagnosticSource, counting, name_of, newest
 from phm.probes.ros.fact_codec import changer
 from phm.probes.ros.protocol import SelfReportUpdate
 
@@ -17,6 +18,8 @@ _aged_status = changer(DiagnosticFact, "age_s")
 _late_beacon = changer(BeaconFact, "not_counted_s")
 _late_status = changer(DiagnosticFact, "not_counted_s")
 _Fact = TypeVar("_Fact", BeaconFact, DiagnosticFact)
+Late = Callable[[float], float]
+"""For a number of seconds until now, the part in which the child did not run."""
 
 MAX_NAMES = 500
 """Limit for unconfigured beacons, unconfigured statuses, and the statuses that match one pattern: names from outside must not fill
@@ -51,6 +54,11 @@ class SelfReports:
 
     beacons: Mapping[str, tuple[float, BeaconFact]] = field(default_factory=dict)
     diagnostics: Mapping[str, tuple[float, DiagnosticFact]] = field(default_factory=dict)
+    """By source: `phm.probes.ros.diagnostic_sources.key_of`."""
+    first_s: Mapping[str, float] = field(default_factory=dict)
+    """When each source of a status was received for the first time."""
+    named: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    """The sources of each name that count, the one received last first."""
     refused: int = 0
     """Number of messages on the beacon topic that were not valid beacons."""
     lost_at: float | None = None
@@ -64,16 +72,25 @@ class SelfReports:
         for name, age_s in update.ages.items():
             if name in beacons:
                 beacons[name] = (now_s, _aged_beacon(beacons[name][1], age_s))
-        diagnostics = {**self.diagnostics, **{name: (now_s, fact) for name, fact in update.diagnostics.items()}}
-        diagnostics = _newest(diagnostics, self.configured.is_status)
-        kept = _newest_of_each(self.configured.statuses, diagnostics)
-        return SelfReports(
-            _newest(beacons, self.configured.is_node),
-            kept,
-            max(self.refused, update.refused),
-            now_s if update.lost else self.lost_at,
-            now_s if len(kept) < len(diagnostics) else self.unkept_at,
-            self.configured,
+        known = replace(
+            self,
+            beacons=_newest(beacons, self.configured.is_node),
+            refused=max(self.refused, update.refused),
+            lost_at=now_s if update.lost else self.lost_at,
+        )
+        return known._with_statuses(update.diagnostics, now_s) if update.diagnostics else known
+
+    def _with_statuses(self, statuses: Mapping[str, DiagnosticFact], now_s: float) -> SelfReports:
+        received = _few_of_each({**self.diagnostics, **{key: (now_s, fact) for key, fact in statuses.items()}})
+        received = _newest(received, lambda key: self.configured.is_status(name_of(key)))
+        kept = _newest_of_each(self.configured.statuses, received)
+        first_s = {key: self.first_s.get(key, at) for key, (at, _) in kept.items()}
+        return replace(
+            self,
+            diagnostics=kept,
+            first_s=first_s,
+            named={name: counting(_received(sources, first_s)) for name, sources in _by_name(kept).items()},
+            unkept_at=now_s if len(kept) < len(received) else self.unkept_at,
         )
 
     def differs(self, update: SelfReportUpdate) -> bool:
@@ -92,17 +109,24 @@ class SelfReports:
         )
 
     def since(
-        self, now_s: float, late: Callable[[float], float] = lambda passed_s: 0.0
+        self, now_s: float, late: Late = lambda passed_s: 0.0
     ) -> tuple[dict[str, BeaconFact], dict[str, DiagnosticFact]]:
-        """Beacons and statuses that are valid evidence, with ages as of `now_s`. late: for a number of seconds until then,
-        the part in which the child did not run."""
+        """Beacons that are valid evidence and the newest status of each name, with ages as of `now_s`."""
         beacons = {name: _aged_beacon(fact, fact.age_s + now_s - at) for name, (at, fact) in self.beacons.items()}
-        statuses = {name: _aged_status(fact, fact.age_s + now_s - at) for name, (at, fact) in self.diagnostics.items()}
+        statuses = {name: self._status(keys[0], now_s, late) for name, keys in self.named.items()}
         beacons |= {name: _late_beacon(fact, late_s) for name, fact in beacons.items() if (late_s := late(fact.age_s))}
-        statuses |= {
-            name: _late_status(fact, late_s) for name, fact in statuses.items() if (late_s := late(fact.age_s))
-        }
         return {name: fact for name, fact in beacons.items() if not self._unproved(fact, now_s)}, statuses
+
+    def same_named(self, now_s: float, late: Late = lambda passed_s: 0.0) -> dict[str, tuple[DiagnosticFact, ...]]:
+        """The statuses of each name that several publishers use."""
+        several = {name: keys for name, keys in self.named.items() if len(keys) > 1}
+        return {name: tuple(self._status(key, now_s, late) for key in keys) for name, keys in several.items()}
+
+    def _status(self, key: str, now_s: float, late: Late) -> DiagnosticFact:
+        at, fact = self.diagnostics[key]
+        aged: DiagnosticFact = _aged_status(fact, fact.age_s + now_s - at)
+        late_s = late(aged.age_s)
+        return _late_status(aged, late_s) if late_s else aged
 
     def _unproved(self, fact: BeaconFact, now_s: float) -> bool:
         """Whether the beacon is silent but its messages may have been lost because too many arrived."""
@@ -128,8 +152,30 @@ def _newest_of_each(patterns: tuple[str, ...], found: dict[str, tuple[float, _Fa
     """Of the entries that match a pattern, those received last: MAX_NAMES for each, so that no pattern displaces those of another."""
     if len(found) <= MAX_NAMES:
         return found
-    newest = sorted(found, key=lambda name: found[name][0], reverse=True)
-    matching = [[name for name in newest if _pattern(words).fullmatch(name)] for words in patterns]
+    latest = sorted(found, key=lambda key: found[key][0], reverse=True)
+    matching = [[key for key in latest if _pattern(words).fullmatch(name_of(key))] for words in patterns]
     kept = {name for names in matching for name in names[:MAX_NAMES]}
     dropped = {name for names in matching for name in names} - kept
     return {name: entry for name, entry in found.items() if name not in dropped}
+
+
+_Statuses = dict[str, tuple[float, DiagnosticFact]]
+
+
+def _by_name(found: _Statuses) -> dict[str, _Statuses]:
+    named: dict[str, _Statuses] = {}
+    for key, entry in found.items():
+        named.setdefault(name_of(key), {})[key] = entry
+    return named
+
+
+def _received(sources: _Statuses, first_s: Mapping[str, float]) -> dict[str, DiagnosticSource]:
+    return {key: DiagnosticSource(first_s.get(key, at), at, fact.hardware_id) for key, (at, fact) in sources.items()}
+
+
+def _few_of_each(found: _Statuses) -> _Statuses:
+    """The sources of each name that are kept."""
+    named = _by_name(found)
+    if len(named) == len(found):
+        return found
+    return {key: found[key] for sources in named.values() for key in newest(_received(sources, {}))}

@@ -16,6 +16,9 @@ from phm.probes.ros.renewal_pace import RenewalPace
 UNNAMED_S = 5.0
 """An endpoint is listed some milliseconds before the name of its node; on an overloaded machine seconds."""
 FLOWS_S = 1.0
+TRIES = 3
+"""New participants for one topic that has lost its names: the first may come while the machine is still overloaded. Endpoints
+of programs without a ROS node, such as PX4's uXRCE-DDS agent, never get a name."""
 
 
 class UnnamedParticipants:
@@ -26,6 +29,11 @@ class UnnamedParticipants:
         self._named: set[str] = set()
         """Topics whose endpoints all had names at the last poll, or before they lost them."""
         self._since: dict[str, float] = {}
+        self._complete_since: dict[str, float] = {}
+        self._steady: set[str] = set()
+        """Topics whose endpoints all had names for a while."""
+        self._tries: dict[str, int] = {}
+        """New participants for each topic since all its names were known for a while."""
         self._pace = RenewalPace()
         """Any participant can create endpoints without a name."""
 
@@ -39,16 +47,32 @@ class UnnamedParticipants:
         for name, topic in topics.items():
             complete = _complete(topic)
             if complete and (topic.publishers or topic.subscribers):
-                self._named.add(name)
-            if complete or not (name in self._named or _flows(topic)):
+                self._note_complete(name, now)
+            else:
+                self._complete_since.pop(name, None)
+            if complete or self._tries.get(name, 0) >= self._most_tries(name, topic):
                 self._since.pop(name, None)
             else:
                 self._since.setdefault(name, now)
         due = tuple(sorted(name for name, at in self._since.items() if now - at >= self._unnamed_s))
         if not due or not self._pace.allows(now):
             return ()
+        for name in self._since.keys() - set(unlisted):
+            self._tries[name] = self._tries.get(name, 0) + 1
         self._since.clear()
         return due
+
+    def _note_complete(self, name: str, now: float) -> None:
+        """A new participant that has discovered only some of the endpoints does not count: the others may have no name again."""
+        self._named.add(name)
+        if now - self._complete_since.setdefault(name, now) >= self._unnamed_s:
+            self._steady.add(name)
+            self._tries.pop(name, None)
+
+    def _most_tries(self, name: str, topic: TopicFact) -> int:
+        if name in self._steady:
+            return TRIES
+        return 1 if name in self._named or _flows(topic) else 0
 
 
 def _complete(topic: TopicFact) -> bool:

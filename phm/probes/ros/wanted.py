@@ -58,6 +58,7 @@ def _topics(
             topic.rate,
             ros.silence if topic.silence is None else topic.silence,
             None if topic.data is None else _wanted_data(topic.data),
+            topic.silence or 0.0,
         )
         for topic in ros.topics
         for name in _full([topic.name])

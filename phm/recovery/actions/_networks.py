@@ -47,7 +47,7 @@ def connect(container: ContainerSettings, fact: ContainerFact, name: str, networ
     try:
         if left is not None:
             context.engine.disconnect(name, fact.name, force=True)
-        context.engine.connect(network, fact.name, aliases=_aliases(before, fact), address=_address(before))
+        context.engine.connect(network, fact.name, aliases=aliases(before, fact), addresses=addresses(before))
     except (EngineMissing, NotPermitted):
         # For a removed network, a socket proxy refuses the call instead of reporting that the network does not exist.
         if network_id(name, context) == network:
@@ -68,11 +68,28 @@ def stale(container: ContainerSettings, fact: ContainerFact, context: ActionCont
     return [one.name for one in known if one.network_id != network_id(one.name, context)]
 
 
-def _aliases(before: Attachment | None, fact: ContainerFact) -> tuple[str, ...]:
+def aliases(before: Attachment | None, fact: ContainerFact) -> tuple[str, ...]:
     """The aliases that it had, without the short id, which the engine adds by itself."""
     return tuple(alias for alias in before.aliases if alias != fact.id[:12]) if before else ()
 
 
-def _address(before: Attachment | None) -> str:
-    """Only an address that the user fixed may be asked for: the engine refuses others on default subnets."""
-    return before.fixed_address if before else ""
+def addresses(before: Attachment | None) -> tuple[str, ...]:
+    """Only addresses that the user fixed may be asked for: the engine refuses others on default subnets."""
+    return before.fixed_addresses if before else ()
+
+
+def is_silent(attached: Attachment, context: ActionContext) -> bool:
+    """Whether PHM can reach the network, and the address responds to neither of two pings: by the same rules as the check.
+    Raises CannotTell."""
+    if not attached.address or not _reached(attached.network_id, context):
+        return False
+    return not (context.reachable(attached.address) or context.reachable(attached.address))
+
+
+def _reached(network: str, context: ActionContext) -> bool:
+    """On the host's network PHM reaches bridge networks only; see `phm_checks.network`."""
+    me = context.own_container()
+    if me is not None and any(one.network_id == network for one in me.networks):
+        return True
+    on_host = me is None or me.network_mode == "host"
+    return on_host and context.engine.inspect_network(network).get("Driver") == "bridge"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import bisect
+import math
 import threading
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -10,16 +12,32 @@ from typing import Protocol
 from phm.core.clock import Clock
 from phm.core.model import Event, FaultClosed, Level, UnitState
 from phm.facts import CannotTell, ContainerFact
-from phm.recovery.base import LoweredWeight
+from phm.recovery.base import MAX_SHARES, LoweredWeight
 from phm.transport.docker import DockerEngine
 
 LOW_SHARES = 64
-"""A sixteenth of the engine's default of 1024: enough to stay alive, almost nothing beside a container that needs the core."""
+"""Between a 33rd and an eighth of the default, by cgroup version and container runtime: enough to stay alive, almost nothing beside a
+container that needs the core."""
 DEFAULT_SHARES = 1024
 CALM_S = 30.0
 """The weight is restored when the unit has been OK for this long. If it must be lowered again soon, the time doubles:
 otherwise PHM would lower and restore it in turn."""
 MOST_CALM_S = 600.0
+
+
+def _linear(shares: int) -> int:
+    """cpu.weight for these shares in older versions of runc and crun: 39 for 1024."""
+    return 1 + (shares - 2) * 9999 // 262142
+
+
+def _logarithmic(shares: int) -> int:
+    """The same since opencontainers/runc pull request 4785: 100 for 1024."""
+    log = math.log2(shares)
+    return math.ceil(10 ** ((log * log + 125 * log) / 612 - 7 / 34))
+
+
+CONVERSIONS: tuple[Callable[[int], int], ...] = (_linear, _logarithmic)
+"""How container runtimes convert the engine's shares to the weight of cgroup v2."""
 
 
 class PublishedStates(Protocol):
@@ -42,8 +60,11 @@ class CpuWeights:
         container: Callable[[str], ContainerFact | None],
         pipeline: PublishedStates,
         clock: Clock,
+        weight: Callable[[ContainerFact], int] = lambda fact: 0,
     ) -> None:
+        """weight: the kernel's weight of a container on cgroup v2; 0: not known."""
         self._engine, self._container, self._pipeline, self._clock = engine, container, pipeline, clock
+        self._weight = weight
         # By container and unit: several starved containers may need the same weight low.
         self._lowered: dict[tuple[str, str], LoweredWeight] = {}
         self._calm_s: dict[str, float] = {}
@@ -68,8 +89,10 @@ class CpuWeights:
         if shares <= LOW_SHARES:
             self._keep_low(key, fact.id, unit)
             return False
+        # Without shares the kernel's default applies. On cgroup v2 that may be another weight than that of the engine's default.
+        weight = 0 if found else self._weight(fact)
         with self._lock:  # noted first: if PHM is stopped in between, the next PHM restores it
-            self._note(LoweredWeight(key, fact.id, shares, unit))
+            self._note(LoweredWeight(key, fact.id, shares, unit, weight))
             again = self._clock.mono() - self._put_back_at.get(key, float("-inf")) < MOST_CALM_S
             self._calm_s[key] = min(2 * self._calm_s.get(key, CALM_S), MOST_CALM_S) if again else CALM_S
         engine.set_cpu_shares(fact.id, LOW_SHARES)
@@ -120,12 +143,28 @@ class CpuWeights:
         try:
             fact = self._container(entry.key)
             same = fact is not None and fact.id == entry.id
-            if same:
-                self._engine.set_cpu_shares(entry.id, entry.shares)
+            shares = self._set_back(entry, fact) if fact is not None and same else 0
         except CannotTell:
             return  # at the next tick
         with self._lock:
             self._lowered = {noted: other for noted, other in self._lowered.items() if other.key != entry.key}
             self._put_back_at[entry.key] = self._clock.mono()
         if same:
-            self._pipeline.note("ACTION", f"restored the CPU weight of {entry.key} to {entry.shares}")
+            self._pipeline.note("ACTION", f"restored the CPU weight of {entry.key} to {shares}")
+
+    def _set_back(self, entry: LoweredWeight, fact: ContainerFact) -> int:
+        """Returns the shares that the container has then. Raises CannotTell."""
+        self._engine.set_cpu_shares(entry.id, entry.shares)
+        shares = _shares_for(entry, self._weight(fact)) if entry.weight else entry.shares
+        if shares != entry.shares:
+            self._engine.set_cpu_shares(entry.id, shares)
+        return shares
+
+
+def _shares_for(entry: LoweredWeight, weight: int) -> int:
+    """The shares that give the weight from before, if those of the entry give `weight`; those of the entry if the conversion is not
+    known."""
+    convert = next((each for each in CONVERSIONS if each(entry.shares) == weight), None)
+    if convert is None or weight == entry.weight:
+        return entry.shares
+    return min(MAX_SHARES, 2 + bisect.bisect_left(range(2, MAX_SHARES + 1), entry.weight, key=convert))

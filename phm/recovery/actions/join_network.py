@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from phm.core.model import Fault
 from phm.core.settings import ContainerSettings
-from phm.facts import ContainerFact, NotPermitted
-from phm.recovery.actions._networks import missing, network_id, not_there
+from phm.facts import Attachment, ContainerFact, NotPermitted
+from phm.recovery.actions._networks import addresses, aliases, missing, network_id, not_there
 from phm.recovery.base import Action, ActionContext, ActionFailed, NotNeeded, Target, container_settings
+from phm.transport.docker import EngineBroken, EngineConflict
 
 
 class JoinNetwork(Action):
@@ -47,6 +48,18 @@ def rejoin_networks(container: ContainerSettings, context: ActionContext) -> str
     return joined
 
 
+def _connect(network: str, me: ContainerFact, before: Attachment | None, context: ActionContext) -> None:
+    """As it was connected before, if that is known: others may use PHM's aliases and its fixed addresses."""
+    names, fixed = aliases(before, me), addresses(before)
+    try:
+        context.engine.connect(network, me.name, aliases=names, addresses=fixed)
+    except (EngineConflict, EngineBroken):
+        if not fixed:
+            raise
+        # Another container has the address, or the network another subnet now. PHM needs the network more than its address there.
+        context.engine.connect(network, me.name, aliases=names)
+
+
 def join_networks(container: ContainerSettings, context: ActionContext) -> str:
     """Join every network of the container that exists and PHM's container is not on; what was joined, in words, or empty."""
     me = context.own_container()
@@ -63,7 +76,7 @@ def join_networks(container: ContainerSettings, context: ActionContext) -> str:
         if mine is not None:
             context.engine.disconnect(name, me.name, force=True)
         try:
-            context.engine.connect(network, me.name, aliases=(), address="")
+            _connect(network, me, mine or context.own_attachment(name), context)
         except NotPermitted:
             # The engine answers 403 also when the container is on the network already, e.g. because PHM was quicker.
             if me.id not in context.engine.inspect_network(network).get("Containers", {}):

@@ -8,7 +8,7 @@ import threading
 from phm.core.model import Fault
 from phm.core.settings import ContainerSettings
 from phm.facts import CannotTell, ContainerFact, NotPermitted
-from phm.recovery.actions._networks import connect, missing, network_id, not_there
+from phm.recovery.actions._networks import connect, is_silent, missing, network_id, not_there
 from phm.recovery.actions.join_network import rejoin_networks
 from phm.recovery.actions.restart import Restart, restart_dependents, restart_gracefully, restart_limit_s
 from phm.recovery.base import (
@@ -29,11 +29,11 @@ DECIDED_S = 0.1
 
 
 class Reconnect(Action):
-    """Disconnect a container from its expected networks by force, and connect it as before. If ROS nodes run in it and the
-    vehicle is disarmed, restart it, too.
+    """Disconnect a container by force from its expected networks that are faulty, and connect it as before. If ROS nodes run in it
+    and the vehicle is disarmed, restart it, too.
 
     The engine may still list a part of the old attachment, or one to a network that was recreated under the same name. So
-    PHM compares the ids of networks and not their names. It restores aliases and a fixed address.
+    PHM compares the ids of networks and not their names. It restores aliases and fixed addresses.
 
     The container gets a new network interface, on which the sockets of its programs have not joined their multicast groups.
     Nodes keep their connections if the outage was shorter than their DDS lease, but nodes and tools that start later do not
@@ -62,7 +62,7 @@ class Reconnect(Action):
         container, fact = container_settings(target), present(target, context)
         gone = missing(container.networks, context)
         done: list[str] = []
-        for name, network in _due(container, fault, fact, context):
+        for name, network in _due(container, fault, fact, context, pinged=True):
             reached = connect(container, fact, name, network, context)
             (done if reached else gone).append(name)
         if gone and not done:
@@ -127,14 +127,20 @@ def _join(container: ContainerSettings, context: ActionContext) -> str:
 
 
 def _due(
-    container: ContainerSettings, fault: Fault, fact: ContainerFact, context: ActionContext
+    container: ContainerSettings, fault: Fault, fact: ContainerFact, context: ActionContext, *, pinged: bool = False
 ) -> list[tuple[str, str]]:
-    """Name and id of each existing network to which the container must be connected. If its address is silent: all."""
+    """Name and id of each existing network to which the container must be connected. If an address is silent: also the network
+    where it is (`pinged`), or all where it may be."""
+    may_be_silent = fault.result.condition == "address_silent"
     attached = {entry.name: entry for entry in fact.networks}
     due = []
     for name in container.networks:
         network, now = network_id(name, context), attached.get(name)
-        is_as_it_must_be = now is not None and now.network_id == network and (now.address or not container.address)
-        if network and (fault.result.condition == "address_silent" or not is_as_it_must_be):
+        if network and (
+            now is None
+            or now.network_id != network
+            or (container.address and not now.address)
+            or (may_be_silent and (not pinged or is_silent(now, context)))
+        ):
             due.append((name, network))
     return due

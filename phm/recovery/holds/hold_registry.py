@@ -16,7 +16,7 @@ from phm.wire.report import iso
 ALL = ""
 """The target of a hold on all containers."""
 OPERATOR, STOP, WINDOW = "operator", "stop", "window"
-"""The source of a hold: `phm hold`, a container that an operator stopped, a maintenance window."""
+"""The source of a hold: `phm hold`, a container that an operator stopped or paused, a maintenance window."""
 LONGEST_S = 24 * 3600.0
 KEPT_EVERY_S = 30.0
 """The time left of a hold is written this often: a reboot extends the hold by no more than that and the time the machine was off."""
@@ -64,7 +64,7 @@ class HoldStatus:
 
     hold:            the one that ends last; None: it is not on hold.
     undecided:       when it is decided whether an operator stopped it (monotonic seconds); None: it is decided.
-    stopped_by_hand: an operator stopped it, and PHM only advises then (`recovery.on_manual_stop`).
+    stopped_by_hand: an operator stopped or paused it, and PHM only advises then (`recovery.on_manual_stop`).
     """
 
     hold: Hold | None = None
@@ -93,8 +93,9 @@ class HoldRegistry:
         """Targets, or ALL, of which anything is known here. The set is replaced and never changed: any thread may read it."""
         self.armed_before = False
         """Whether the vehicle was armed as far as the previous PHM knew: what was on hold then may stay so."""
-        self.explained_until: Callable[[str, float], float | None] = lambda target, now: None
-        """Until when an event may arrive that explains why the target has exited (monotonic seconds); None: none is expected."""
+        self.explained_until: Callable[[str, float, bool], float | None] = lambda target, now, paused: None
+        """Until when an event may arrive that explains why the target has exited, or is paused (monotonic seconds); None: none is
+        expected."""
         self._lock = threading.Lock()
         self.changed: Callable[[], None] = lambda: None
 
@@ -125,7 +126,7 @@ class HoldRegistry:
         return max(found, key=lambda hold: hold.until, default=None)
 
     def stopped_by_hand(self, target: str) -> bool:
-        """Whether an operator stopped it and PHM only advises then."""
+        """Whether an operator stopped or paused it and PHM only advises then."""
         return target in self._by_hand
 
     def mark_stopped(self, target: str, stopped: bool) -> None:
@@ -145,24 +146,25 @@ class HoldRegistry:
         if before != until:
             self.changed()
 
-    def undecided(self, target: str, now: float, *, ended: bool = False) -> float | None:
-        """When it is decided whether an operator stopped the target (monotonic seconds); None: it is decided.
+    def undecided(self, target: str, now: float, *, ended: bool = False, paused: bool = False) -> float | None:
+        """When it is decided whether an operator stopped or paused the target (monotonic seconds); None: it is decided.
 
-        ended: its container has exited, and the decision is about that.
+        ended, paused: its container has exited, or is paused, and the decision is about that.
         """
         until = self._undecided.get(target)
         if until is None or now >= until + LATE_S:
-            return self.explained_until(target, now) if ended else None
+            return self.explained_until(target, now, paused) if ended or paused else None
         return max(until, now)
 
-    def status(self, target: str, now: float, *, ended: bool = False) -> HoldStatus:
-        """All of it at `now` (monotonic seconds). ended: as of `undecided`."""
-        return HoldStatus(self.on(target, now), self.undecided(target, now, ended=ended), self.stopped_by_hand(target))
+    def status(self, target: str, now: float, *, ended: bool = False, paused: bool = False) -> HoldStatus:
+        """All of it at `now` (monotonic seconds). ended, paused: as of `undecided`."""
+        undecided = self.undecided(target, now, ended=ended, paused=paused)
+        return HoldStatus(self.on(target, now), undecided, self.stopped_by_hand(target))
 
     def why_not_start(self, target: str, now: Stamp) -> str:
         """Why the target must not be restarted as a dependent; empty: it may be."""
         status = self.status(target, now.mono)
-        return status.words(now) or ("stopped by hand" if status.stopped_by_hand else "")
+        return status.words(now) or ("paused or stopped by hand" if status.stopped_by_hand else "")
 
     def _update_concerned(self) -> None:
         self.concerned = frozenset({target for target, _source in self._of} | self._by_hand | self._undecided.keys())

@@ -1,4 +1,4 @@
-"""Holds in the running daemon: requested by an operator, or begun by a manual stop or a maintenance window.
+"""Holds in the running daemon: requested by an operator, or begun by a manual stop or pause, or a maintenance window.
 
 Each change is published. During a hold the tracker publishes bad results as STALE, and recovery does not act.
 """
@@ -28,7 +28,7 @@ from phm.wire.text import one_line
 
 logger = logging.getLogger(__name__)
 
-ENDINGS = frozenset({"exited", "ended", "missing", "created"})
+ENDINGS = frozenset({"exited", "ended", "missing", "not_started", "created"})
 """Conditions of a container that may be part of a restart or a recreation."""
 WAITING = "being stopped by an operator; PHM waits to see whether it is started again or recreated"
 ARMED_S = 1.0
@@ -42,10 +42,13 @@ CLOSED_S = 3.0
 POLL_S = 0.1
 """While the event stream is closed or a `die` is awaited, it is checked this often."""
 DIE_FOLLOWS_S = 1.0
-"""The `die` of a container that a check finds exited arrives within this time: within milliseconds on an idle machine."""
+"""The `die` of a container that a check finds exited, or the `pause` of one that it finds paused, arrives within this time: within
+milliseconds on an idle machine."""
 STOP_MAX_S = 121.0
 """The `kill` of a stop is at most this much older than its `die`, as far as PHM can know (`phm.probes.event_decoder.STOP_S`)."""
 _DONE = {StopVerdict.STOPPED: "stopped", StopVerdict.REMOVED: "removed"}
+_OVER = {"start": "it was started again", "unpause": "it was unpaused", "die": "it has ended"}
+"""By event: why a stop or a pause by hand is over. A container that ends was paused, or runs: how it has ended decides from then on."""
 
 
 def _no_engine(ref: str) -> Mapping[str, Any]:
@@ -102,9 +105,10 @@ class HoldService:
         self._flight = FlightRules(containers, world.armed, self._facts, world.inspect)
         self._seen: set[str] = set()
         self._died: set[str] = set()
-        """Containers whose `die` has arrived, and no `start` after it, and those that had exited before PHM looked."""
+        """Containers whose `die` or `pause` has arrived, and no `start` or `unpause` after it, and those that did not run before PHM
+        looked."""
         self._exit_known: dict[str, float] = {}
-        """Since when recovery knows of an exit whose `die` has not arrived yet (monotonic seconds)."""
+        """Since when recovery knows of an exit whose `die`, or a pause whose `pause`, has not arrived yet (monotonic seconds)."""
         self._lock = threading.RLock()
         self._wake, self._stopping = threading.Event(), False
         self._thread = threading.Thread(target=self._loop, name="phm-holds", daemon=True)
@@ -160,6 +164,13 @@ class HoldService:
         """The holds for `phm status`, as JSON values."""
         return [self._json(hold) for hold in sorted(self._holds.all(), key=lambda hold: hold.target)]
 
+    def undecided(self) -> dict[str, float]:
+        """By container that an operator may be stopping: in how many seconds that is decided. Another PHM would take it for a crash."""
+        with self._lock:
+            now = self._clock.mono()
+            due = {key: self._stops.undecided_until(key, now) for key in self._keys}
+        return {key: max(0.0, until - now) for key, until in due.items() if until is not None}
+
     # ------------------------------------------------------------ the engine's events
 
     def happened(self, container: str, action: str, detail: str, container_id: str = "") -> None:
@@ -172,8 +183,10 @@ class HoldService:
             self._stops.event(
                 container, action, detail, now, own=own, late=late, missed=missed, container_id=container_id
             )
-            if action == "start":
-                self._runs(container)
+            self._end_by_hand(container, _OVER.get(action, ""))
+            if action == "pause" and not own and self._holds.on(container, now) is None:
+                # Only a person or a tool pauses a container, so there is nothing to wait for.
+                self._apply_stop_rule(container, "paused")
             self._apply([container])
         self._wake.set()
 
@@ -197,16 +210,17 @@ class HoldService:
 
     # ------------------------------------------------------------ inside
 
-    def _explained_until(self, key: str, now: float) -> float | None:
+    def _explained_until(self, key: str, now: float, paused: bool) -> float | None:
         """While the event stream is closed, a stop looks like a crash; events are replayed when it is open again.
 
-        So does an exit that a periodic check finds before its `die` arrives, unless a `kill` would have come before it.
+        So does an exit that a periodic check finds before its `die` arrives, unless a `kill` would have come before it; and a pause
+        that it finds before its `pause` arrives.
         """
         stream = self._world.stream()
         until = stream.since + (REPLAYED_S if stream.open else CLOSED_S)
         if now < until:
             return until if stream.open else min(until, now + POLL_S)
-        if not stream.open or key in self._died or not self._kill_missed(now):
+        if not stream.open or key in self._died or not (paused or self._kill_missed(now)):
             return None
         until = self._exit_known.setdefault(key, now) + DIE_FOLLOWS_S
         return min(until, now + POLL_S) if now < until else None
@@ -216,9 +230,9 @@ class HoldService:
         return now - self._world.stream().complete_since < STOP_MAX_S
 
     def _note_exit(self, key: str, action: str) -> None:
-        if action in ("die", "start"):
+        if action in ("die", "pause", "start", "unpause"):
             self._exit_known.pop(key, None)
-            (self._died.add if action == "die" else self._died.discard)(key)
+            (self._died.add if action in ("die", "pause") else self._died.discard)(key)
 
     def _loop(self) -> None:
         while not self._stopping:
@@ -245,6 +259,10 @@ class HoldService:
         for hold in ended:
             if hold.source == WINDOW:
                 self._holds.finish(hold.target, hold.occurrence)
+            for key in self._of(hold):
+                if self._holds.on(key, now.mono) is None:
+                    # Results from during the hold do not count, also if the container is being stopped now.
+                    self._pipeline.end_hold(key)
             self._apply(self._of(hold))
             text = f"{_name(hold)}: the hold by {hold.by} is over: {why}"
             left_s = max(0.0, hold.until - now.mono)
@@ -264,10 +282,11 @@ class HoldService:
             else:
                 self._pipeline.end_hold(key)
 
-    def _runs(self, key: str) -> None:
-        """It was started, perhaps while PHM was not running: the hold of a manual stop ends."""
-        self._holds.mark_stopped(key, False)
-        self._end([hold for hold in self._of_source(STOP) if hold.target == key], "it was started again")
+    def _end_by_hand(self, key: str, why: str) -> None:
+        """A stop or a pause by hand is over, and so is its hold. why: empty: it is not over."""
+        if why:
+            self._holds.mark_stopped(key, False)
+            self._end([hold for hold in self._of_source(STOP) if hold.target == key], why)
 
     def _stopped(self, key: str, verdict: StopVerdict) -> None:
         if verdict is not StopVerdict.CRASHED and self._holds.on(key, self._clock.mono()) is None:
@@ -335,8 +354,8 @@ class HoldService:
             if fact is not None and fact.running:
                 self._died.discard(key)
                 if key not in self._seen or key in stopped:
-                    with self._lock:
-                        self._runs(key)
+                    with self._lock:  # perhaps it was started while PHM was not running
+                        self._end_by_hand(key, _OVER["start"])
             elif key not in self._seen:
                 self._died.add(key)
             self._seen.add(key)

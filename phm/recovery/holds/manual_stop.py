@@ -8,9 +8,10 @@ What the engine reports (seen with Docker 20.10 and Compose 2.26)::
     docker kill                         kill 9, die
     docker compose up --force-recreate  create (label com.docker.compose.replace), kill, die, stop, destroy, rename, start
     a crash, the kernel, the process    die
+    docker pause, docker commit         pause, unpause (`docker stop` of a paused one: kill, unpause, [kill 9,] die, stop)
 
-So a stop is `kill`, `die`, `stop`. PHM's own actions cause these, too, and are not counted. A container that runs again
-within seconds was restarted or recreated.
+A pause needs no decision: only a person or a tool pauses a container (`phm.recovery.holds.hold_service`). A stop is `kill`, `die`,
+`stop`. PHM's own actions cause these, too, and are not counted. A container that runs again within seconds was restarted or recreated.
 """
 
 from __future__ import annotations

@@ -63,7 +63,7 @@ class Approvals:
         detail = f"approved: {action} {self._target} for {fault.unit}{later}"
         case.reported.discard(f"{Phase.ADVISED.value} {action}")
         self._reporter.report(fault, action, Phase.APPROVED, detail)
-        case.refused, case.approval = False, approval
+        case.advised, case.refused, case.approval = "", False, approval
         return detail
 
     def void(self, case: FaultCase, action: str) -> str:

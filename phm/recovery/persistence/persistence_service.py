@@ -7,7 +7,7 @@ from dataclasses import replace
 from phm.checking.pipeline import Pipeline
 from phm.core.bus import Bus
 from phm.core.clock import Clock
-from phm.core.model import Event
+from phm.core.model import ActionEvent, Event, Fault, Phase, Stamp
 from phm.recovery.executor import Executor
 from phm.recovery.persistence.state import PersistedState, RecoveryState
 from phm.recovery.persistence.state_file import StateFile, StateWriter
@@ -49,6 +49,15 @@ class PersistenceService:
         self._events = self._pipeline.restore(self._state.faults, self._state.given_up, self._state.fault_count)
         if self._armed is not None:
             self._armed.restore(self._state.recovery.armed)
+
+    def requests(self) -> tuple[ActionEvent, ...]:
+        """What was requested of the operator for the restored faults and is not answered. Recovery does not publish it again."""
+        now, cases = self._clock.stamp(), self._state.recovery.cases
+        advised = [(fault, cases[fault.id].advised) for fault in self._pipeline.open_faults() if fault.id in cases]
+        return (
+            *(_request(now, fault, action, Phase.ADVISED) for fault, action in advised if action),
+            *(_request(now, fault, "", Phase.ESCALATED) for fault in self._pipeline.given_up()),
+        )
 
     def resume(self, executor: Executor) -> None:
         """Publish what was restored, give recovery its part, and begin to keep."""
@@ -95,3 +104,7 @@ class PersistenceService:
 
     def _note(self, text: str) -> None:
         self._pipeline.note("PHM", text)
+
+
+def _request(at: Stamp, fault: Fault, action: str, phase: Phase) -> ActionEvent:
+    return ActionEvent(at, fault.id, fault.unit, action, fault.result.target, phase)

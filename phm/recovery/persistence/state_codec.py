@@ -11,7 +11,7 @@ from typing import Any
 
 from phm.core.clock import MAX_STEPS
 from phm.core.model import Evidence, Fault, Layer, Level, Result, Slot, Stamp
-from phm.recovery.base import LoweredWeight
+from phm.recovery.base import MAX_SHARES, MAX_WEIGHT, LoweredWeight
 from phm.recovery.fault_cases import CLEAN_S, KEPT, MAX_REPORTED, AttemptRecord, PersistedCase, UnfinishedAction
 from phm.recovery.holds.hold_registry import MAX_DONE, MAX_HOLDS, Hold, PersistedHold, carried
 from phm.recovery.ownership import Generation, StartedBy
@@ -22,8 +22,6 @@ VERSION = 5
 MAX_FAULTS = 256
 MAX_TARGETS = 64
 MAX_TEXT = 2000
-MAX_SHARES = 262144
-"""The largest CPU weight of the kernel."""
 FAULT_AGE_S = 7 * 86400.0
 """The maximum age of a fault: a greater age is due to a clock that was set."""
 
@@ -49,6 +47,7 @@ def encode(state: PersistedState, boot: str, now: Stamp) -> dict[str, Any]:
                 "refused": case.refused,
                 "reported": [text[:MAX_TEXT] for text in case.reported[:MAX_REPORTED]],
                 "approved": case.approved[:MAX_TEXT],
+                "advised": case.advised[:MAX_TEXT],
             }
             for name, case in list(recovery.cases.items())[:MAX_FAULTS]
         },
@@ -126,6 +125,7 @@ def decode(document: Any, boot: str, now: Stamp, window_s: float) -> PersistedSt
                     case["refused"] is True,
                     tuple(str(text) for text in case["reported"][:MAX_REPORTED]),
                     str(case["approved"])[:MAX_TEXT],
+                    str(case.get("advised", ""))[:MAX_TEXT],
                 )
                 for name, case in list(document["cases"].items())[:MAX_FAULTS]
             },
@@ -216,11 +216,11 @@ def _read_hold(body: Any, now: Stamp, *, same_boot: bool) -> PersistedHold:
 
 
 def _read_lowered(body: Any) -> LoweredWeight:
-    shares = int(body["shares"])
-    if not 2 <= shares <= MAX_SHARES:
+    shares, weight = int(body["shares"]), int(body.get("weight", 0))  # earlier versions did not write the weight
+    if not (2 <= shares <= MAX_SHARES and 0 <= weight <= MAX_WEIGHT):
         raise ValueError("an invalid CPU weight")
     key, container, unit = (str(body[part])[:MAX_TEXT] for part in ("key", "id", "unit"))
-    return LoweredWeight(key, container, shares, unit)
+    return LoweredWeight(key, container, shares, unit, weight)
 
 
 def _attempt(attempt: AttemptRecord, now: Stamp) -> dict[str, Any]:

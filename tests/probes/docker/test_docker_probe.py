@@ -97,6 +97,7 @@ def test_an_incomplete_response_is_still_a_fact() -> None:
     )
     assert (fact.health, fact.restart_policy, fact.networks[0].name) == ("none", "no", "n")
     assert [(mount.kind, mount.destination) for mount in fact.mounts] == [("tmpfs", "/run")]
+    assert fact.memory_limit is None
 
 
 def test_a_complete_response_is_read_completely() -> None:
@@ -111,13 +112,18 @@ def test_a_complete_response_is_read_completely() -> None:
         "FailingStreak": 4,
         "Log": [{"Output": "old"}, {"Output": "no\n node "}],
     }
-    response["NetworkSettings"]["Networks"]["swarm"]["IPAMConfig"] = {"IPv4Address": "10.9.0.2"}
+    response["NetworkSettings"]["Networks"]["swarm"]["IPAMConfig"] = {
+        "IPv4Address": "10.9.0.2",
+        "IPv6Address": "fd00::2",
+    }
     response["HostConfig"]["Devices"] = [
         {"PathOnHost": "/dev/a", "PathInContainer": "/dev/b", "CgroupPermissions": "r"}
     ]
+    response["HostConfig"]["Memory"] = 67108864
     fact = container_fact(response)
     assert (fact.health, fact.health_streak, fact.health_output) == ("unhealthy", 4, "no node")
-    assert fact.networks[0].fixed_address == "10.9.0.2"
+    assert fact.memory_limit == 67108864
+    assert fact.networks[0].fixed_addresses == ("10.9.0.2", "fd00::2")
     assert (fact.mounts[0].name, fact.mounts[0].writable) == ("v", False)
     assert (fact.devices[0].host_path, fact.devices[0].container_path) == ("/dev/a", "/dev/b")
 
@@ -326,6 +332,7 @@ def test_a_network_has_an_id_or_does_not_exist(fake: FakeEngine, ask: DockerEngi
     docker = probe(ask)
     assert docker.network_id("swarm") == "n1"
     assert docker.network_id("other") == ""
+    assert (docker.network_driver("swarm"), docker.network_driver("other")) == ("bridge", "")
     fake.fault = Status(500)
     with pytest.raises(CannotTell):
         docker.network_id("swarm")
@@ -472,14 +479,19 @@ def test_others_are_the_running_containers_that_are_not_configured(fake: FakeEng
 def test_the_attachment_of_a_disconnected_container_is_known_after_a_reload(
     fake: FakeEngine, ask: DockerEngine
 ) -> None:
-    """Its aliases and its fixed address are restored when it is connected again; the engine has forgotten them."""
-    fake.containers["app"] = container("app", networks=["swarm"])
-    before = AttachmentCache(probe(ask, {"name": "app"}))
+    """Its aliases and its fixed address are restored when it is connected again; the engine has forgotten them. PHM's own, too."""
+    me = {"docker": {"container": "phm"}}
+    fake.containers |= {name: container(name, networks=["swarm"]) for name in ("app", "phm")}
+    before = AttachmentCache(probe(ask, {"name": "app"}, **me))
     before.container("app")
-    fake.containers["app"] = container("app")
-    after = AttachmentCache(probe(ask, {"name": "app"}))
+    before.own_container()
+    fake.containers |= {name: container(name) for name in ("app", "phm")}
+    after = AttachmentCache(probe(ask, {"name": "app"}, **me))
     after.resume(before, {"app"})
     after.container("app")
+    after.own_container()
+    mine = after.own_remembered("swarm")
+    assert mine is not None and mine.aliases == ("phm",)
     known = after.remembered("app", "swarm")
     assert known is not None and known == before.remembered("app", "swarm")
     removed = AttachmentCache(probe(ask))

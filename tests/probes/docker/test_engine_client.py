@@ -217,10 +217,10 @@ def test_actions_change_the_container(fake: FakeEngine, ask: DockerEngine) -> No
     ask.stop("app", 0.5)
     assert state["Status"] == "exited"
     ask.disconnect("swarm", "app", force=True)
-    ask.connect("swarm", "app", aliases=("nav",), address="10.9.0.7")
+    ask.connect("swarm", "app", aliases=("nav",), addresses=("10.9.0.7", "fd00::7"))
     attached = fake.containers["app"]["NetworkSettings"]["Networks"]["swarm"]
     assert attached["Aliases"] == ["nav"]
-    assert attached["IPAMConfig"] == {"IPv4Address": "10.9.0.7"}
+    assert attached["IPAMConfig"] == {"IPv4Address": "10.9.0.7", "IPv6Address": "fd00::7"}
 
 
 def test_a_file_is_read_up_to_its_limit(fake: FakeEngine, ask: DockerEngine) -> None:

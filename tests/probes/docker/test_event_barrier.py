@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from phm.checking.scheduler import CheckRun
+from phm.checking.check_turns import CheckRun
 from phm.core.clock import SystemClock
 from phm.probes.container_watcher import ContainerWatcher
 from phm.probes.docker_event import DockerEvent

@@ -176,3 +176,21 @@ def test_unread_data_is_not_silence(why: str) -> None:
     assert gcs_s > 10.0
     assert pilot_s > 3.5
     assert radio_s > 10.0
+
+
+def test_after_a_reload_the_senders_of_before_are_known() -> None:
+    """An autopilot, a ground station and a radio that are lost do not become senders that were never there."""
+    scene = Scene()
+    steady(scene, 5)
+    scene.receive(51, 68, radio_status())
+    scene.clock.advance(60.0)
+    before = scene.links
+    scene.links = Links(scene.hub, before._system, before._settings, scene.clock, scene.wake)
+    assert (scene.links.autopilot(), scene.links.gcs(), scene.links.radios()) == (None, None, ())
+    scene.links.resume(before)
+    flying, gcs, (radio,) = scene.links.autopilot(), scene.links.gcs(), scene.links.radios()
+    assert flying is not None and gcs is not None
+    assert (flying.age_s, gcs.age_s, radio.age_s) == (60.0, 60.0, 60.0)
+    scene.receive(7, 1, pilot())
+    flying = scene.links.autopilot()
+    assert flying is not None and flying.age_s == 0.0

@@ -73,7 +73,7 @@ def test_the_configuration_passes_the_pipe() -> None:
     wanted = Wanted(
         "agent_1",
         3,
-        (WantedTopic("/t", 10.0, 2.0), WantedTopic("/u")),
+        (WantedTopic("/t", 10.0, 2.0, least_silence_s=1.5), WantedTopic("/u")),
         0.1,
         2.0,
         ("/diagnostics",),

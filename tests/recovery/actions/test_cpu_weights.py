@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -166,6 +167,62 @@ def test_a_low_weight_that_phm_has_not_set_is_not_changed() -> None:
     relief = CpuWeights(cast(Any, engine), lambda key: None, Published(), clock)
     assert not relief.lower("cam", testing.container("cam"), UNIT, cast(Any, engine))
     assert relief.kept() == ()
+
+
+def old_weight(shares: int) -> int:
+    """cpu.weight as older versions of runc and crun set it."""
+    return 1 + (shares - 2) * 9999 // 262142
+
+
+def new_weight(shares: int) -> int:
+    """The same since opencontainers/runc pull request 4785."""
+    log = math.log2(shares)
+    return math.ceil(10 ** ((log * log + 125 * log) / 612 - 7 / 34))
+
+
+class Weighted(Shares):
+    """An engine on cgroup v2: shares that are not set leave the weight of the kernel, 100."""
+
+    def __init__(self, convert: Callable[[int], int], shares: int = 0) -> None:
+        self.shares, self.convert = shares, convert
+        self.weight = convert(shares) if shares else 100
+
+    def set_cpu_shares(self, container: str, shares: int) -> None:
+        self.shares, self.weight = shares, self.convert(shares)
+
+    def relief(self) -> CpuWeights:
+        cam = testing.container("cam")
+        return CpuWeights(cast(Any, self), lambda key: cam, Published(), FakeClock(), lambda fact: self.weight)
+
+    def lower(self, relief: CpuWeights) -> bool:
+        return relief.lower("cam", testing.container("cam"), UNIT, cast(Any, self))
+
+
+@pytest.mark.parametrize("convert", [old_weight, new_weight])
+@pytest.mark.parametrize("shares", [0, 128, 1024, 4096])
+def test_the_weight_of_the_kernel_is_as_before(convert: Callable[[int], int], shares: int) -> None:
+    """Also of a container without cpu_shares, which the older conversion gives 39 for 1024; and by a PHM that was restarted."""
+    engine = Weighted(convert, shares)
+    before = engine.weight
+    first = engine.relief()
+    assert engine.lower(first) and engine.shares == LOW_SHARES
+    assert not engine.lower(first)
+    after = engine.relief()
+    after.restore(first.kept())
+    after.end()
+    assert engine.weight == before
+    assert engine.shares == shares or not shares, "what the user has set"
+
+
+@pytest.mark.parametrize("weight", [0, 5000])
+def test_without_a_known_conversion_the_default_of_the_engine_is_restored(weight: int) -> None:
+    """No mount of the host's cgroups, or a container runtime that converts in another way."""
+    engine = Weighted(lambda shares: weight)
+    engine.weight = weight and 100
+    relief = engine.relief()
+    assert engine.lower(relief)
+    relief.end()
+    assert engine.shares == DEFAULT_SHARES
 
 
 def test_relieve_applies_to_a_flight_critical_container_with_configured_others() -> None:

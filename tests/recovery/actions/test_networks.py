@@ -9,6 +9,8 @@ from typing import Any
 import pytest
 
 from phm import testing
+from phm.facts import ContainerFact
+from phm.probes.docker_facts import container_fact
 from phm.recovery.actions.join_network import JoinNetwork
 from phm.recovery.actions.reconnect import Reconnect
 from phm.recovery.actions.restart import Restart
@@ -16,7 +18,7 @@ from phm.recovery.actions.start import Start
 from phm.recovery.base import Action, ActionContext, NotYet
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 from phm.testing import FakeClock
-from phm.transport.docker import DockerEngine, EngineTimeout
+from phm.transport.docker import DockerEngine, EngineBroken, EngineTimeout
 from tests.fakes.engine import FakeEngine, container
 from tests.fakes.engine_faults import Status
 from tests.recovery.action_bench import Bench, bench, fault
@@ -71,10 +73,10 @@ def test_a_network_recreated_during_the_connection_is_waited_for(
     made = agent(fake, ask, exists=True)
     connect = ask.connect
 
-    def late(network: str, container: str, aliases: Any = (), address: str = "") -> None:
+    def late(network: str, container: str, aliases: Any = (), addresses: Any = ()) -> None:
         fake.networks["swarm"] = {"Id": "newer"}
         fake.fault = Status(code, "no", route="/connect")
-        connect(network, container, aliases, address)
+        connect(network, container, aliases, addresses)
 
     monkeypatch.setattr(ask, "connect", late)
     with pytest.raises(NotYet):
@@ -135,6 +137,71 @@ def test_a_connection_without_an_address_is_made_again(fake: FakeEngine, ask: Do
     assert made.run(Reconnect, "app", OFF) == "reconnected app to swarm"
     assert changes(fake) == ["disconnect", "connect"]
     assert made.run(Reconnect, "app", OFF) == "app is already connected"
+
+
+SILENT = fault("network/app", "address_silent")
+
+
+def two_networks(fake: FakeEngine, ask: DockerEngine, **radio: Any) -> Bench:
+    """`app` is on both: 10.9.0.2 on `swarm`, 10.9.0.3 on `radio`."""
+    fake.containers["app"] = container("app", networks={"swarm": "new", "radio": "r"})
+    fake.networks |= {"swarm": {"Id": "new"}, "radio": {"Id": "r", **radio}}
+    return bench(ask, containers=[{**APP, "networks": ["swarm", "radio"]}])
+
+
+@pytest.mark.parametrize(
+    ("silent", "words", "done"),
+    [
+        ({"10.9.0.3"}, "reconnected app to radio", ["POST /networks/radio/disconnect", "POST /networks/r/connect"]),
+        (set(), "app is already connected", []),
+    ],
+)
+def test_only_the_network_with_the_silent_address_is_connected_again(
+    fake: FakeEngine, ask: DockerEngine, silent: set[str], words: str, done: list[str]
+) -> None:
+    """The container gets a new interface there: on a healthy network its sockets would leave their multicast groups for nothing."""
+    made = two_networks(fake, ask)
+    context = replace(made.context(), reachable=lambda address: address not in silent)
+    assert Reconnect().run(made.target("app"), SILENT, context) == words
+    assert [call for call in fake.calls if call.startswith("POST")] == done
+
+
+def test_one_lost_echo_does_not_disconnect_a_network(fake: FakeEngine, ask: DockerEngine) -> None:
+    """As in the check, the second ping decides."""
+    made = two_networks(fake, ask)
+    answers = iter([False, True, False, False])
+    context = replace(made.context(), reachable=lambda address: next(answers))
+    assert Reconnect().run(made.target("app"), SILENT, context) == "reconnected app to radio"
+
+
+@pytest.mark.parametrize(
+    ("mode", "mine", "judged"), [(None, {}, False), ("host", {}, False), ("default", {"radio": "r"}, True)]
+)
+def test_an_address_that_phm_cannot_reach_does_not_disconnect_a_network(
+    fake: FakeEngine, ask: DockerEngine, mode: str | None, mine: dict[str, str], judged: bool
+) -> None:
+    """On the host's network PHM does not reach a macvlan, so silence there says nothing; on that network itself it does."""
+    made = two_networks(fake, ask, Driver="macvlan")
+    me = None if mode is None else container_fact(container("phm", networks=mine))
+    if me is not None and mode is not None:
+        me = replace(me, network_mode=mode)
+    context = replace(made.context(), reachable=lambda address: address == "10.9.0.2", own_container=lambda: me)
+    words = Reconnect().run(made.target("app"), SILENT, context)
+    assert ("reconnected app to radio" in words) is judged
+    assert ("POST /networks/radio/disconnect" in fake.calls) is judged
+    assert "POST /networks/swarm/disconnect" not in fake.calls
+
+
+BOTH = {"IPv4Address": "10.9.0.7", "IPv6Address": "fd00::7"}
+
+
+def test_a_container_gets_both_fixed_addresses_back(fake: FakeEngine, ask: DockerEngine) -> None:
+    """IPv4 and IPv6: the address that is left out would be one that Docker chooses."""
+    made = agent(fake, ask, exists=True, attached={"swarm": "old"})
+    fake.containers["app"]["NetworkSettings"]["Networks"]["swarm"]["IPAMConfig"] = BOTH
+    fake.networks["swarm"] = {"Id": "new"}
+    made.run(Reconnect, "app", OFF)
+    assert fake.containers["app"]["NetworkSettings"]["Networks"]["swarm"]["IPAMConfig"] == BOTH
 
 
 NODES = {"nodes": [{"name": "/agent_1/node_1", "container": "app"}]}
@@ -271,6 +338,55 @@ def test_phm_joins_the_existing_networks(fake: FakeEngine, ask: DockerEngine) ->
     assert restarts == ["PHM joined a network"]
 
 
+def own(fake: FakeEngine, attached: dict[str, str]) -> ContainerFact:
+    """PHM's container, with an alias and fixed addresses on these networks."""
+    fake.containers["phm"] = container("phm", networks=attached)
+    for endpoint in fake.containers["phm"]["NetworkSettings"]["Networks"].values():
+        endpoint.update({"Aliases": ["phm", "agent1-phm"], "IPAMConfig": BOTH})
+    return container_fact(fake.containers["phm"])
+
+
+@pytest.mark.parametrize("listed", [True, False])
+def test_phm_joins_a_recreated_network_with_its_aliases_and_addresses(
+    fake: FakeEngine, ask: DockerEngine, listed: bool
+) -> None:
+    """Routers and ground stations find PHM by them. If the engine does not list the old attachment any more, PHM remembers it."""
+    made = agent(fake, ask, exists=True)
+    before = own(fake, {"swarm": "old"})
+    fake.networks["swarm"] = {"Id": "new"}
+    if not listed:
+        fake.containers["phm"]["NetworkSettings"]["Networks"].clear()
+    context = replace(
+        made.context(),
+        own_container=lambda: container_fact(fake.containers["phm"]),
+        own_attachment=lambda name: next(one for one in before.networks if one.name == name),
+    )
+    assert JoinNetwork().run(made.target("app"), OFF, context) == "PHM joined network swarm"
+    after = fake.containers["phm"]["NetworkSettings"]["Networks"]["swarm"]
+    assert (after["NetworkID"], after["Aliases"], after["IPAMConfig"]) == ("new", ["phm", "agent1-phm"], BOTH)
+
+
+def test_phm_joins_a_network_that_refuses_its_address(
+    fake: FakeEngine, ask: DockerEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another container has it now, or the new network has another subnet. Without the network PHM would see nothing there."""
+    made = agent(fake, ask, exists=True)
+    me = own(fake, {"swarm": "old"})
+    fake.networks["swarm"] = {"Id": "new"}
+    connect = ask.connect
+
+    def refuse(network: str, container: str, aliases: Any = (), addresses: Any = ()) -> None:
+        if addresses:
+            raise EngineBroken("no configured subnet contains IP address 10.9.0.7")
+        connect(network, container, aliases)
+
+    monkeypatch.setattr(ask, "connect", refuse)
+    context = replace(made.context(), own_container=lambda: me)
+    assert JoinNetwork().run(made.target("app"), OFF, context) == "PHM joined network swarm"
+    after = fake.containers["phm"]["NetworkSettings"]["Networks"]["swarm"]
+    assert (after["Aliases"], after["IPAMConfig"]) == (["phm", "agent1-phm"], None)
+
+
 def both_off(fake: FakeEngine, ask: DockerEngine) -> tuple[Bench, ActionContext]:
     """Neither `app` nor PHM's own container is on the network."""
     made = agent(fake, ask, exists=True)
@@ -296,10 +412,10 @@ def test_a_container_is_reconnected_even_if_phm_cannot_join(
     made, context = both_off(fake, ask)
     connect = ask.connect
 
-    def only_app(network: str, container: str, aliases: Any = (), address: str = "") -> None:
+    def only_app(network: str, container: str, aliases: Any = (), addresses: Any = ()) -> None:
         if container == "phm":
             raise EngineTimeout("no answer")
-        connect(network, container, aliases, address)
+        connect(network, container, aliases, addresses)
 
     monkeypatch.setattr(ask, "connect", only_app)
     assert Reconnect().run(made.target("app"), OFF, context) == "reconnected app to swarm"

@@ -32,25 +32,25 @@ def remove_network(daemon: Phm, network: Any, app: Any) -> None:
     """
     original, gone = daemon.daemon.components.probes.engine.connect, threading.Event()
 
-    def connect(network_: str, container: str, aliases: Any, address: str) -> None:
+    def connect(network_: str, container: str, aliases: Any, addresses: Any) -> None:
         if not gone.is_set():
             network.reload()
             for other in network.containers:  # PHM's own
                 network.disconnect(other, force=True)
             network.remove()
             gone.set()
-        original(network_, container, aliases, address)
+        original(network_, container, aliases, addresses)
 
     patch(daemon, connect)
     network.disconnect(app, force=True)
     daemon.until(gone.is_set, "the network to be removed")
 
 
-def patch(daemon: Phm, connect: Callable[[str, str, Any, str], None]) -> None:
+def patch(daemon: Phm, connect: Callable[[str, str, Any, Any], None]) -> None:
     """Make PHM connect containers by this function; the arguments have the names of the original."""
 
-    def named(network: str, container: str, aliases: Any = (), address: str = "") -> None:
-        connect(network, container, aliases, address)
+    def named(network: str, container: str, aliases: Any = (), addresses: Any = ()) -> None:
+        connect(network, container, aliases, addresses)
 
     daemon.daemon.components.probes.engine.connect = named  # type: ignore[method-assign]
 
@@ -138,8 +138,8 @@ def test_phm_and_the_application_lose_the_network_together(real: Any, phm: Start
     before, lost = started_at(app), threading.Event()
     original = daemon.daemon.components.probes.engine.connect
 
-    def connect(network_: str, container: str, aliases: Any, address: str) -> None:
-        original(network_, container, aliases, address)
+    def connect(network_: str, container: str, aliases: Any, addresses: Any) -> None:
+        original(network_, container, aliases, addresses)
         if not lost.is_set():
             lost.set()
             network.disconnect(app, force=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -22,6 +23,26 @@ def test_a_stop_is_respected_for_a_while_on_the_ground(scene: Scene) -> None:
     assert scene.service.snapshot()[0]["source"] == "stop" and "stopped by hand" in scene.summary()
     scene.agent.rest(595)
     assert scene.agent.opened() == ["container/app"] and scene.agent.runs != []
+
+
+@pytest.mark.parametrize(("events", "wait_s"), [(STOP, 3.0), ((*STOP, ("destroy", "")), 15.0)])
+def test_a_reload_must_wait_until_a_stop_is_decided(
+    scenes: Any, tmp_path: Path, events: tuple[tuple[str, str], ...], wait_s: float
+) -> None:
+    """The next PHM would not know of the stop and would start the container; once it is decided, the hold is kept."""
+    first = scenes(tmp_path)
+    assert first.service.undecided() == {}
+    first.happen(*events)
+    first.containers.end("app")
+    first.agent.bad = {"container/app": "exited"}
+    first.agent.rest(1.0)
+    assert first.service.undecided() == {"app": pytest.approx(wait_s - 1.0)}
+    first.agent.rest(wait_s)
+    assert first.service.undecided() == {}
+    first.agent.stop()
+    second = scenes(tmp_path, first.clock, containers=first.containers, bad=first.agent.bad)
+    second.agent.rest(30)
+    assert (second.agent.opened(), second.agent.runs) == ([], [])
 
 
 def test_a_start_ends_only_the_hold_of_a_stop(scene: Scene) -> None:

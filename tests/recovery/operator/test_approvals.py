@@ -151,7 +151,8 @@ def test_a_restart_of_phm_ends_an_approval_with_a_message(agents: list[Agent], t
     second.bad["container/app"] = "broken"
     second.rest(5.0)
     assert second.runs == []
-    assert ["PHM has been restarted" in words for words in expired(second)] == [True]
+    assert ["PHM has been restarted or reloaded; approve it again" in words for words in expired(second)] == [True]
+    assert second.steps() == [Phase.EXPIRED, Phase.ADVISED]
 
 
 def test_a_requested_restart_expires_too(agents: list[Agent]) -> None:

@@ -158,6 +158,25 @@ def test_an_open_fault_is_restored_without_a_second_alarm(lives: Callable[..., L
     assert [event.fault.id for event in second.of(FaultClosed)] == [fault.id]
 
 
+def test_reporters_know_what_waits_for_the_operator_over_restarts(lives: Callable[..., Life]) -> None:
+    """Recovery does not publish it again. An advice until it is approved; a fault that recovery has given up on."""
+    fault = advised(lives(mode="advise"))
+    for _ in range(2):
+        life = lives(mode="advise", same_failure=1)
+        (request,) = life.memory.requests()
+        assert (request.fault, request.unit, request.action) == (fault.id, fault.unit, "restart")
+        assert (request.target, request.phase) == ("app", Phase.ADVISED)
+        life.rest()
+        life.die()
+    life = lives(mode="advise", same_failure=1)
+    life.until(lambda: life.pipeline.bad_since(APP, life.clock.mono() - 1.0))
+    life.executor.approve(fault.id)
+    assert life.executor.persisted().cases[fault.id].advised == ""
+    life.until(lambda: Phase.ESCALATED in life.phases())
+    life.die()
+    assert [(each.fault, each.phase) for each in lives().memory.requests()] == [(fault.id, Phase.ESCALATED)]
+
+
 def test_new_faults_get_unused_ids(lives: Callable[..., Life]) -> None:
     """Both lives count from one with the same prefix: restored numbers are skipped."""
     fault = advised(lives(mode="advise"))

@@ -54,7 +54,7 @@ FULL = PersistedState(
     (fault("ab12-2"),),
     RecoveryState(
         {"app": (replace(attempt(90.0), backoff_reset=True, not_counted=True), attempt())},
-        {"ab12-1": PersistedCase(True, ("advised start",), "start")},
+        {"ab12-1": PersistedCase(True, ("advised start",), "start", "restart")},
         {"app": UnfinishedAction("ab12-1", replace(attempt(99.0), took_s=1.5), returned=True)},
         {
             "app": Generation("id2", "2026-01-01T00:00:00Z", 97.0, 92.0, StartedBy.PHM, "app"),
@@ -62,7 +62,7 @@ FULL = PersistedState(
         },
         LastArmedState(True, 91.0, contradicted=True),
         {"app": "app", "side": "app"},
-        lowered=(LoweredWeight("other", "id3", 512, "pressure/app"),),
+        lowered=(LoweredWeight("other", "id3", 1024, "pressure/app", 100),),
     ),
     ((900.0, 20.0), (910.0, 60.0)),
     7,

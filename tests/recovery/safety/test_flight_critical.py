@@ -104,7 +104,9 @@ class Calls:
         self._note(f"disconnect {container}")
         self.scene.state = ArmedState.ARMED
 
-    def connect(self, network: str, container: str, aliases: tuple[str, ...] = (), address: str = "") -> None:
+    def connect(
+        self, network: str, container: str, aliases: tuple[str, ...] = (), addresses: tuple[str, ...] = ()
+    ) -> None:
         self._note(f"connect {container}")
 
     def kill(self, ref: str, signal: str = "SIGKILL") -> None:

@@ -46,12 +46,13 @@ def test_the_shipped_profile_only_names_things(profile: str) -> None:
 
 
 def test_the_tuned_profile_shows_its_changes() -> None:
-    """The budget, the checksum, the copy to restore from, the required radio, and a HEALTHCHECK
-    that is not expected.
+    """The budget, the checksum, the copy to restore from, the required radio, a HEALTHCHECK that is not expected, and a
+    pause that counts as a failure on the ground.
     """
     more = keys("tuned") - keys("shipped")
     assert more == {
         "recovery.budget",
+        "recovery.on_manual_stop.ground",
         "containers[s-1-ros_app-1].files[/ws/src/critical_file].sha256",
         "containers[s-1-ros_app-1].files[/ws/src/critical_file].restore",
         "containers[s-1-router-1].healthcheck",

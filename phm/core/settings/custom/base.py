@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from phm.core.settings.base import Name, Seconds, Section
+from phm.core.settings.hosts import check_host
 
 Word = Annotated[str, Field(min_length=1, max_length=4096)]
 """One word of a command."""
 Pattern = Annotated[str, Field(min_length=1, max_length=500)]
 """A regular expression of Python's `re`."""
-HostName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.:-]+$", max_length=253)]
+HostName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.:-]+$", max_length=253), AfterValidator(check_host)]
 
 
 class CustomRecoverySettings(Section):

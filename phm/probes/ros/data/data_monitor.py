@@ -19,6 +19,8 @@ GONE_S, GONE_PERIODS = 3.0, 3.0
 """A publisher that is silent for longer while another is not does not count any more."""
 EARLY_S = 0.05
 """Looks are a little irregular: a message may be examined so much before its time."""
+EARLIEST_STAMP_NS = 946_684_800 * 10**9
+"""The year 2000. An earlier stamp at the beginning of an unknown type may be two numbers of another meaning."""
 _NO_SEQUENCE = "gaps cannot be measured: this middleware gives no sequence numbers"
 _MIXED = "order and gaps cannot be examined: the publishers of this topic cannot be distinguished"
 
@@ -105,7 +107,7 @@ class DataMonitor:
                 stamp = stamp_ns(data)
                 if self._wanted.header:
                     found = replace(found, stamp_ns=stamp, age_s=(message.received_ns - stamp) / 1e9)
-                header = True
+                header = header or self._wanted.header or stamp >= EARLIEST_STAMP_NS
             except NoHeader as error:
                 header = False
                 if self._wanted.header:

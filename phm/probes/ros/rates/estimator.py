@@ -30,6 +30,9 @@ COUNTED = 20
 LATE_S, STALL_S = 0.5, 1.0
 """Looks further apart than LATE_S, two ticks, mean that PHM itself did not run. Half of that time counts as silence of
 the publisher, so that a starved PHM still detects it; of the longest pause nothing beyond STALL_S counts."""
+SLOW = 2
+"""A publisher without a rate after this many times the time in which one of mean rate would be gone, so after 12 mean
+periods, is left out of the sum: all of them together publish less than a twelfth of the expected rate."""
 _SHARE = 0.2
 FADE_S, FADE_WINDOWS = 60.0, 20
 """Observations count for about this long, or this many windows if longer."""
@@ -97,20 +100,24 @@ class RateEstimator:
     """Converts the samples of one topic to a `RateFact`.
 
     expected_hz and silence_s determine only how long samples are kept and from when on the topic counts as silent, at
-    most max(3 periods, silence_s) (see `SilenceTimeout`); then the rate is 0.0. expected_hz 0 is a latched topic, which
-    is never silent.
+    most max(3 periods, silence_s) and at least least_silence_s (see `SilenceTimeout`); then the rate is 0.0. expected_hz
+    0 is a latched topic, which is never silent.
     """
 
-    def __init__(self, expected_hz: float, silence_s: float) -> None:
+    def __init__(self, expected_hz: float, silence_s: float, least_silence_s: float = 0.0) -> None:
         self._expected_hz = expected_hz
         self._narrow_s = max(WINDOW_S, PERIODS / expected_hz) if expected_hz else WINDOW_S
         wide_s = min(WIDE_MOST_S, WIDE_PERIODS / expected_hz) if expected_hz else 0.0
         self._wide_s = max(WIDE_S, wide_s, self._narrow_s)
         self._spread = RateUncertainty(self._narrow_s)
         self._counted_over_s = max(WINDOW_S, COUNTED / expected_hz) if expected_hz else WINDOW_S
-        self._silence = SilenceTimeout(expected_hz, max(3.0 / expected_hz, silence_s)) if expected_hz else None
+        self._silence = (
+            SilenceTimeout(expected_hz, max(3.0 / expected_hz, silence_s), least_silence_s) if expected_hz else None
+        )
         self._tracks: dict[bytes | None, PublisherStats] = {}
         self._sorter: PublisherDemux | None = None
+        self._slow_s = 0.0
+        """How long a publisher may be without a rate before it is a slow one; see `_sum`."""
         self._last_look_s: float | None = None
         self._last_s: float | None = None
         self._quiet_s = 0.0
@@ -124,6 +131,7 @@ class RateEstimator:
     def update(self, now_s: float, samples: Sequence[Sample], listening: Listening = ALONE) -> RateFact:
         """Process the samples since the last poll, oldest first. Called once per tick."""
         self._listen(now_s, samples, listening)
+        self._slow_s = SLOW * gone_after_s(self._mean_hz(listening)) + listening.closed_s
         if samples:
             self._take(now_s, samples, listening)
         self._drop_gone(now_s, listening)
@@ -132,6 +140,20 @@ class RateEstimator:
         if silent:
             self.forget()
         return self._fact(now_s, listening, silent)
+
+    def missing_s(self, samples: Sequence[Sample], listening: Listening) -> float:
+        """For how long a publisher published nothing between the last samples and these, the first ones after a pause in the
+        subscription; 0.0 if as much as before. Infinite if several cannot be distinguished."""
+        if listening.several and samples[0].writer is None:
+            return math.inf
+        hz = self._mean_hz(listening)
+        tracks = ((self._tracks.get(sample.writer), sample) for sample in samples)
+        return max((track.missing_s(sample, hz) for track, sample in tracks if track is not None), default=0.0)
+
+    @property
+    def measured(self) -> bool:
+        """Whether the rate is known without the one from before `hold`."""
+        return self._hz() is not None
 
     @property
     def span_s(self) -> float:
@@ -144,7 +166,7 @@ class RateEstimator:
 
     def hold(self) -> None:
         """The next sample does not continue the previous ones, without a fault of the publisher: keep the rate."""
-        hz = self._sum()
+        hz = self._hz()
         held = self._held if hz is None else (hz, self.span_s)
         self.forget()
         self._held = held
@@ -231,11 +253,18 @@ class RateEstimator:
             return
         sure = self._sorter is None or not self._sorter.unreliable(listening.publishers, now_s)
         for writer, track in list(self._tracks.items()):
-            if self._last_s - track.at_s <= gone_after_s(track.hz or 0.0) + listening.closed_s:
+            if track.hz is None and len(self._tracks) <= listening.publishers:
+                continue  # as many as are listed: it may be a slow one, whose next message is not due yet
+            hz = self._mean_hz(listening) if track.hz is None else track.hz
+            if self._last_s - track.at_s <= gone_after_s(hz) + listening.closed_s:
                 continue
             del self._tracks[writer]
             if sure:
                 self._restarts.gone(writer, track, list(self._tracks.values()))
+
+    def _mean_hz(self, listening: Listening) -> float:
+        """The expected rate of one publisher."""
+        return self._expected_hz / max(1, listening.publishers)
 
     # ---- report
 
@@ -275,10 +304,12 @@ class RateEstimator:
         return self._spread.error_hz(window_s)
 
     def _sum(self) -> float | None:
-        """Rate of all publishers together, or None while one of them is unknown."""
-        rates = [track.hz for track in self._tracks.values()]
-        known = [hz for hz in rates if hz is not None]
-        return sum(known) if known and len(known) == len(rates) else None
+        """Rate of all publishers together; None while that of one is unknown that is not known to be slow."""
+        now_s = self._last_look_s or 0.0
+        if any(track.hz is None and now_s - track.began_window_s <= self._slow_s for track in self._tracks.values()):
+            return None
+        known = [track.hz for track in self._tracks.values() if track.hz is not None]
+        return sum(known) if known else None
 
     def _hz(self) -> float | None:
         counted_hz = None if self._sorter is None else self._sorter.counted_hz

@@ -23,6 +23,8 @@ OFF = 0.15
 """Each poll must differ by more than this share of the former rate, and by JITTERS standard deviations of the
 publisher."""
 JITTERS = 4.0
+MISSING = 0.05
+"""The smallest share of the time between two samples in which nothing was published that is not neglected."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +129,16 @@ class PublisherStats:
         self._rate_change.forget()
         self._changed_from = None
 
+    def missing_s(self, sample: Sample, expected_hz: float) -> float:
+        """For how long nothing was published since the newest sample, by its rate, or by `expected_hz` if it has none; 0.0 if
+        jitter explains it."""
+        if not self._kept or self.last is None or self.last.sequence is None or sample.sequence is None:
+            return 0.0
+        count, seconds = sample.sequence - self.last.sequence, (sample.source_ns - self.last.source_ns) / 1e9
+        late_s = seconds - count / (self.hz or expected_hz)
+        explained_s = max(MISSING * seconds, JITTERS * (self.jitter_s or 0.0))
+        return late_s if count > 0 and late_s > explained_s else 0.0
+
     def mixed(self, now_s: float) -> bool:
         """Whether these sequence numbers must be those of several publishers."""
         return len(self._falls) == FALLS and now_s - self._falls[0] <= FALLS_S
@@ -135,6 +147,11 @@ class PublisherStats:
     def span_s(self) -> float:
         """Publication time between the oldest and the newest sample of the window."""
         return (self._kept[-1].source_ns - self._kept[0].source_ns) / 1e9 if self._kept else 0.0
+
+    @property
+    def began_window_s(self) -> float:
+        """When the oldest sample of the window was taken; without a window, the newest sample."""
+        return self._kept[0].at_s if self._kept else self.at_s
 
     @property
     def hz(self) -> float | None:

@@ -11,6 +11,8 @@ MARGIN_S = 0.5
 PERIODS = 1.5
 """Minimum limit in expected periods, and one period plus MARGIN_S: a publisher that ends just before its next
 publication is reported as silent at least half a second later, on which `settle_s` of the check relies."""
+SETTLE_S = 2.0
+"""The check `rates` reports a silence this much after the limit (its `SETTLE_S`)."""
 SPREADS = 2.0
 """The longest pause may be exceeded by this many times its difference from the usual one."""
 LEAST, LEAST_S = 20, 15.0
@@ -50,18 +52,24 @@ class WindowedMax:
 
 
 class SilenceTimeout:
-    """The silence limit of one topic. `most_s` is the configured limit, and never exceeded.
+    """The silence limit of one topic. `most_s` is the configured limit, and never exceeded; the limit never falls below
+    `least_s`.
 
-    Below it the limit follows the pauses that ended by themselves: longest + max(0.5 s, 2 * (longest - usual)), at
+    Between them the limit follows the pauses that ended by themselves: longest + max(0.5 s, 2 * (longest - usual)), at
     least 1 s and 1.5 expected periods (or, below a period of a second, one period and half a second). So a topic that
     never paused for much longer than its period is reported soon, and an irregular one gets more time. A pause is
     measured by the polls: the time without a new sample at the last poll before one arrived.
+
+    One missing message is not a fault: the limit and SETTLE_S together are half a second longer than two periods, and
+    than the longest pause and a period. This matters only for periods above two seconds.
     """
 
-    def __init__(self, expected_hz: float, most_s: float) -> None:
+    def __init__(self, expected_hz: float, most_s: float, least_s: float = 0.0) -> None:
         self.most_s = most_s
         period_s = 1.0 / expected_hz
-        self._least_s = max(FLOOR_S, PERIODS * period_s, period_s + MARGIN_S)
+        self._missing_s = period_s + MARGIN_S - SETTLE_S
+        """How much longer than a pause the limit must be, so that a missing message is not reported."""
+        self._least_s = max(least_s, FLOOR_S, PERIODS * period_s, period_s + max(MARGIN_S, self._missing_s))
         self._longest = WindowedMax(max(HORIZON_S, HORIZON * period_s))
         self._usual_s = 0.0
         self._seen = 0
@@ -84,5 +92,5 @@ class SilenceTimeout:
         self._longest.add(pause_s, now_s)
         if self._seen >= LEAST and now_s - self._began_s >= LEAST_S:
             longest_s = self._longest.most or 0.0
-            margin_s = max(MARGIN_S, SPREADS * (longest_s - self._usual_s))
+            margin_s = max(MARGIN_S, SPREADS * (longest_s - self._usual_s), self._missing_s)
             self._limit_s = min(self.most_s, max(self._least_s, longest_s + margin_s))

@@ -11,7 +11,7 @@ from phm.probes.ros.data.data_monitor import DataMonitor
 from phm.probes.ros.message_types import UnknownType
 from phm.probes.ros.protocol import WantedTopic
 from phm.probes.ros.rates.estimator import Listening, RateEstimator
-from phm.probes.ros.rates.publisher_stats import SHORTEST_S, Sample
+from phm.probes.ros.rates.publisher_stats import Sample
 from phm.probes.ros.rates.publishers import DEPTH_MOST, PER_PUBLISHER
 from phm.probes.ros.reader import Reader, SubscriptionQos
 
@@ -19,7 +19,11 @@ LARGE_BPS = 1e6
 """A topic with more bytes per second is subscribed only in windows: the middleware copies all samples to PHM."""
 SMALL_BPS = 0.8e6
 PAUSE_S = 2.0
-"""Time between two windows. A window ends with the first poll that finds a sample."""
+"""Time between two windows. A window ends with the first poll that finds a sample, or when the rate is measured within it."""
+WHOLE = 0.9
+"""The share of a pause without a publication from which nothing was published in it: publishers have jitter."""
+WITHIN_S, WITHIN_PERIODS = 5.0, 3
+"""A window in which the rate is measured ends after this time, or after these periods of each publisher if that is longer."""
 MATCH_S = 3.0
 """A subscription not connected to a listed publisher for this long never will be; normally it takes 0.1 s."""
 STALE_S = 25.0
@@ -44,13 +48,19 @@ class TopicMonitor:
         self._expected_hz = topic.rate_hz
         self._tick_s = tick_s
         self._silence_s = topic.silence_s
-        self._estimator = RateEstimator(topic.rate_hz, topic.silence_s)
+        self._estimator = RateEstimator(topic.rate_hz, topic.silence_s, topic.least_silence_s)
         self._data = DataMonitor(topic.data, topic.rate_hz) if topic.data is not None else None
         self._reader: Reader | None = None
         self._type = ""
         self._unknown = ""
         self._counted = False
         self._large = False
+        self._resumed = False
+        """Whether no sample was taken since the pause of a large topic."""
+        self._within = False
+        """Whether the rate is to be measured within this window, without the samples from before it."""
+        self._partly = False
+        """Whether less was published than before in the newest pause, but not nothing."""
         self._complete = False
         """Whether no sample was missed since the last one, as far as the queue shows."""
         self._open_at_s = -math.inf
@@ -82,6 +92,8 @@ class TopicMonitor:
             matched=matched,
             problem=self._problem(now_s, publishers, matched),
         )
+        if samples and self._resumed:
+            self._resume(samples, listening)
         fact = self._estimator.update(now_s, samples, listening)
         if samples:
             self._complete = True
@@ -170,8 +182,27 @@ class TopicMonitor:
             self._reader = Reader(self._node, self._name, self._type, qos, keep=self._data is not None)
         except UnknownType as error:
             self._unknown = str(error)
+        self._resumed, self._within = self._large and not self._counted, self._counted
         if self._counted:
             self._estimator.hold()
+
+    def _resume(self, samples: Sequence[Sample], listening: Listening) -> None:
+        """The first samples after a pause.
+
+        A publisher may publish only while it has a subscription. Discovery does not show whether it had one: those in its process
+        and those that are not connected are listed too. So a pause in which nothing was published does not count. If less was
+        published than before, the last other subscription may have ended, but not in two pauses in a row.
+        """
+        self._resumed = False
+        missing_s = self._estimator.missing_s(samples, listening)
+        before, self._partly = self._partly, 0.0 < missing_s < self._whole_s(listening.publishers)
+        self._within = missing_s > 0.0 and not (before and self._partly)
+        if self._within:
+            self._estimator.hold()
+
+    def _whole_s(self, publishers: int) -> float:
+        """For how long nothing seems to be published if nothing is in a pause: a period less if one ends in it."""
+        return WHOLE * (PAUSE_S - max(1, publishers) / self._expected_hz) if self._expected_hz else 0.0
 
     def _close(self) -> None:
         if self._reader is not None:
@@ -183,10 +214,20 @@ class TopicMonitor:
         """After a sample of a large topic: close the reader for a while."""
         hz = fact.hz or self._expected_hz
         self._large = (self._estimator.sample_bytes or 0.0) * hz > (SMALL_BPS if self._large else LARGE_BPS)
-        if not self._large or (self._counted and self._estimator.span_s < SHORTEST_S):
+        if not self._large or self._measures(now_s, fact):
             return
         self._close()
         self._open_at_s = now_s + PAUSE_S
+
+    def _measures(self, now_s: float, fact: RateFact) -> bool:
+        """Whether this window stays open, because the rate is not measured yet. One that cannot be is forgotten."""
+        if not self._within or self._estimator.measured:
+            return False
+        periods_s = WITHIN_PERIODS * max(1, fact.publishers) / self._expected_hz if self._expected_hz else 0.0
+        if self._counted or (not fact.problem and now_s - self._open_at_s <= max(WITHIN_S, periods_s)):
+            return True
+        self._estimator.forget()
+        return False
 
     def _problem(self, now_s: float, publishers: Sequence[EndpointFact], matched: int | None) -> str:
         """Why the rate cannot be measured, regardless of the samples; empty if it can."""

@@ -173,6 +173,24 @@ def test_very_many_publishers_are_not_examined() -> None:
     assert fact.samples == MOST
 
 
+def test_numbers_and_a_text_of_an_unknown_type_are_not_a_header() -> None:
+    """`int32 millivolt, uint32 milliampere, string id` reads like a header of 1970; its first numbers are its content."""
+    bench = Bench(header=None, frozen_s=1.0)
+    for number in range(20):
+        stamp = (12_000 - 7 * number) * SECOND + 850 + number
+        assert bench.poll(bench.message(stamped(stamp, frame=b"bat0"))).conditions == ()
+
+
+@pytest.mark.parametrize("wanted", [{}, {"order": True}])
+def test_the_header_of_an_unknown_type_does_not_hide_frozen_content(wanted: dict[str, Any]) -> None:
+    """A stamp after the year 2000 shows a header. Where `order` or `max_age` says that there is one, every stamp is one."""
+    bench = Bench(header=None, frozen_s=1.0, **wanted)
+    for number in range(20):
+        stamp = (number if wanted else 1_700_000_000 + number) * SECOND
+        fact = bench.poll(bench.message(stamped(stamp, b"frame")))
+    assert fact.conditions == ("data_frozen",)
+
+
 def test_a_type_without_a_header_has_no_stamp() -> None:
     """A mistake of the configuration: it is named, and nothing is reported about the messages."""
     bench = Bench(header=False, max_age_s=0.5)

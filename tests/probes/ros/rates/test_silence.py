@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import pytest
 
+from phm.core.settings import RosSettings
+from phm.probes.ros.rates import silence
 from phm.probes.ros.rates.estimator import RateEstimator
 from phm.probes.ros.rates.silence import LEAST, SilenceTimeout, WindowedMax
-from tests.fakes.ros_flow import TICK_S, polls, silent_from, trace
+from phm.probes.ros.wanted import wanted
+from phm_checks import rates
+from tests.fakes.ros_flow import TICK_S, Publication, polls, silent_from, trace
 
 CONFIGURED_S = 3.0
 SETTLE_S = 2.0
@@ -70,6 +74,48 @@ def test_a_fast_topic_on_a_busy_machine_is_silent_after_a_second_or_two(phase_s:
     assert after_s <= 2.0
 
 
+@pytest.mark.parametrize("phase_s", PHASES)
+@pytest.mark.parametrize("late_s", [0.0, 0.4])
+@pytest.mark.parametrize("period_s", [2.0, 3.0, 4.0, 5.0, 10.0, 30.0, 60.0])
+def test_one_missing_message_of_a_slow_topic_is_not_published(period_s: float, late_s: float, phase_s: float) -> None:
+    """After 40 regular ones, some of them late: it may count as silence, for less than settle_s."""
+    times = [number * period_s + (late_s if number % 5 == 0 else 0.0) for number in range(44) if number != 41]
+    publications = [Publication(at_s, at_s, number) for number, at_s in enumerate(times)]
+    meter = RateEstimator(1 / period_s, CONFIGURED_S)
+    silent_s = 0.0
+    for now_s, samples in polls(publications, phase_s - 1.0, times[-1] + 1.0):
+        silent_s = silent_s + TICK_S if meter.update(now_s, samples).hz == 0.0 else 0.0
+        assert silent_s < SETTLE_S
+
+
+def test_the_end_of_a_slow_topic_is_reported_before_three_periods() -> None:
+    """A message may be missing, not two: the configured limit alone would be three periods."""
+    for period_s in (5.0, 10.0, 60.0):
+        limit_s = fed(1 / period_s, [period_s] * 100, 3 * period_s).limit_s
+        assert limit_s + SETTLE_S == pytest.approx(2 * period_s + 0.5)
+
+
+@pytest.mark.parametrize(("least_s", "limit_s"), [(0.0, 1.5), (60.0, 60.0), (3.0, 3.0), (1.0, 1.5)])
+def test_the_silence_of_a_topic_is_never_lowered(least_s: float, limit_s: float) -> None:
+    """A user who sets `silence: 60s` for one topic expects pauses that it has not made yet."""
+    timeout = SilenceTimeout(1.0, max(3.0, least_s), least_s)
+    for second in range(100):
+        timeout.ended(1.0, float(second))
+    assert timeout.limit_s == pytest.approx(limit_s)
+
+
+def test_the_sampler_knows_which_silence_is_a_topics_own() -> None:
+    """`ros.silence` holds for all topics and may be lowered."""
+    topics = [{"name": "/a/photo", "rate": 1, "silence": "60s"}, {"name": "/a/scan", "rate": 10}]
+    found = wanted(RosSettings.model_validate({"silence": "5s", "topics": topics}), "agent_1").topics
+    assert [(topic.silence_s, topic.least_silence_s) for topic in found] == [(60.0, 60.0), (5.0, 0.0)]
+
+
+def test_the_check_settles_for_as_long_as_the_limit_assumes() -> None:
+    """Both together are longer than two periods."""
+    assert SETTLE_S == silence.SETTLE_S == rates.SETTLE_S
+
+
 def test_the_traces_are_long_and_real() -> None:
     """The tests above are only as good as the recordings."""
     assert all(trace(name).end_s > 2400 for name in ("steady", "lognormal", "bursty", "stalling"))
@@ -77,10 +123,10 @@ def test_the_traces_are_long_and_real() -> None:
 
 
 def fed(hz: float, pauses: list[float], most_s: float = 3.0, every_s: float | None = None) -> SilenceTimeout:
-    silence = SilenceTimeout(hz, most_s)
+    timeout = SilenceTimeout(hz, most_s)
     for number, pause_s in enumerate(pauses):
-        silence.ended(pause_s, number * (every_s or 1 / hz))
-    return silence
+        timeout.ended(pause_s, number * (every_s or 1 / hz))
+    return timeout
 
 
 def test_the_configured_limit_holds_until_enough_was_seen() -> None:
@@ -95,7 +141,7 @@ def test_the_configured_limit_holds_until_enough_was_seen() -> None:
     [
         (10.0, [0.0] * 200, 1.0),
         (1.0, [1.0] * 100, 1.5),
-        (0.1, [10.0] * 100, 15.0),
+        (0.1, [10.0] * 100, 18.5),
         (1.5, [0.67] * 100, 1 / 1.5 + 0.5),
         (1.0, [1.0, 1.4] * 50, 1.4 + 0.5),
         (1.0, [1.0, 1.0, 1.0, 1.5] * 25, 1.5 + 2 * 0.375),

@@ -1,0 +1,68 @@
+"""What a check returned, before anything relies on it: a plug-in may return anything, and one odd field would otherwise raise later,
+in the tracker or in a reporter, and take the events of other units with it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from phm.api import stale
+from phm.core.model import Evidence, HostReadings, Level, NodeVotes, Result
+
+_TEXTS = ("summary", "brief", "condition", "target")
+_SECONDS = ("settle_s", "decides_s", "age_s", "rate_hz")
+_REQUIRED = frozenset({"age_s"})
+_VALUES = (str, int, float, bool, type(None))
+
+
+def checked(answer: Any) -> Result:
+    """`answer` itself, or STALE with the reason if it is not a Result whose fields have the types of `phm.api`."""
+    reason = _wrong(answer)
+    return stale(f"the check returned {reason}") if reason else answer
+
+
+def _wrong(answer: Any) -> str:
+    """What is wrong with it; empty: nothing."""
+    if not isinstance(answer, Result):
+        return f"{type(answer).__name__}, not a Result"
+    if not isinstance(answer.level, Level):
+        return f"a Result whose level is {_kind(answer.level)}, not a Level"
+    for name in _TEXTS:
+        if not isinstance(getattr(answer, name), str):
+            return f"a Result whose {name} is {_kind(getattr(answer, name))}, not a text"
+    for name in _SECONDS:
+        if not _is_number(getattr(answer, name), required=name in _REQUIRED):
+            return f"a Result whose {name} is not a finite number"
+    return _wrong_values(answer.values) or _wrong_details(answer)
+
+
+def _wrong_values(values: object) -> str:
+    if not isinstance(values, Mapping):
+        return f"a Result whose values are {_kind(values)}, not a mapping"
+    for key, value in values.items():
+        if not isinstance(key, str):
+            return "a Result with a value whose name is not a text"
+        if not isinstance(value, _VALUES):
+            return f"a Result whose value {key} is {_kind(value)}, not a text, number, true, false or None"
+    return ""
+
+
+def _wrong_details(result: Result) -> str:
+    if not isinstance(result.evidence, Evidence):
+        return f"a Result whose evidence is {_kind(result.evidence)}, not Evidence"
+    if not isinstance(result.readings, (HostReadings, type(None))):
+        return f"a Result whose readings are {_kind(result.readings)}, not HostReadings"
+    if not isinstance(result.votes, tuple) or not all(isinstance(each, NodeVotes) for each in result.votes):
+        return "a Result whose votes are not a tuple of NodeVotes"
+    return ""
+
+
+def _is_number(number: object, *, required: bool) -> bool:
+    if number is None:
+        return not required
+    return isinstance(number, (int, float)) and not isinstance(number, bool) and math.isfinite(number)
+
+
+def _kind(thing: object) -> str:
+    return "None" if thing is None else type(thing).__name__

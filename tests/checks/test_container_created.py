@@ -1,0 +1,56 @@
+"""A container that was created and not started: its creator may be about to start it."""
+
+from __future__ import annotations
+
+from phm import api, testing
+from phm.recovery.base import ladder_of
+from phm_checks.container import UNSTARTED_S, Container
+
+SETTINGS = testing.settings(containers=[{"name": "ros_app"}])
+FAILED = "exec: /nosuch: stat /nosuch: no such file or directory"
+
+
+class Created:
+    """A container check, and the container that it finds."""
+
+    def __init__(self, **fields: object) -> None:
+        (self.check,) = Container.build(SETTINGS)
+        self.clock = testing.FakeClock()
+        self.docker = testing.FakeDocker(testing.container("ros_app", status="created", **fields))
+        self.world = testing.world(clock=self.clock, docker=self.docker)
+
+    def after(self, seconds: float, **changes: object) -> api.Result:
+        self.clock.advance(seconds)
+        if changes:
+            self.docker.change("ros_app", **changes)
+        result = self.check.run(self.world)
+        assert isinstance(result, api.Result)
+        return result
+
+
+def test_a_created_container_is_reported_only_after_a_minute() -> None:
+    """`docker compose up` creates all containers, and starts each when what it depends on is healthy."""
+    found = Created()
+    first, later, last = found.after(0.0), found.after(UNSTARTED_S - 1.0), found.after(1.0)
+    for result in (first, later):
+        assert (result.level, result.condition, result.settle_s) == (api.Level.ERROR, "not_started", UNSTARTED_S)
+        assert ladder_of(result.condition, SETTINGS.recovery) == ()
+    assert (last.level, last.condition, last.settle_s) == (api.Level.ERROR, "created", None)
+    assert ladder_of("created", SETTINGS.recovery) == ("start",)
+
+
+def test_a_start_that_failed_is_reported_immediately() -> None:
+    """The engine leaves it `created` and keeps the error (seen with Docker 20.10, which sends no event then)."""
+    for found in (Created(error=FAILED), Created()):
+        result = found.after(5.0, error=FAILED)
+        assert (result.condition, result.settle_s) == ("created", None) and "no such file" in result.summary
+
+
+def test_each_container_has_its_minute() -> None:
+    """It was created again, or was started and is a new one later."""
+    found = Created()
+    found.after(0.0)
+    assert found.after(UNSTARTED_S - 1.0, id="another").condition == "not_started"
+    assert found.after(2.0).condition == "not_started"
+    assert found.after(1.0, status="running").level is api.Level.OK
+    assert found.after(UNSTARTED_S, status="created", id="third").condition == "not_started"

@@ -1,0 +1,106 @@
+"""Recovery of a container that was created: not before its creator had time to start it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from phm import testing
+from phm.api import Result
+from phm.core.model import FaultOpened
+from phm.testing import FakeClock
+from phm_checks.container import UNSTARTED_S, Container
+from tests.recovery.simulated_agent import Agent, Containers, Of
+
+UNITS = {"container/app": Of("app"), "nodes/app": Of("app", ("container/app",))}
+SOON_S = 3.0
+
+
+class Scene:
+    """PHM with the real container check, on a fake clock. `facts`: the containers as the engine reports them."""
+
+    def __init__(self) -> None:
+        self.agent = Agent(UNITS, Containers("app"), FakeClock(), actions=("start", "restart"))
+        self.facts = self.agent.containers.facts
+        (self._check,) = Container.build(testing.settings(containers=[{"name": "app"}]))
+        observe = self.agent.observe
+        self.agent.observe = lambda: (self._look(), observe())[1]  # type: ignore[method-assign]
+        self.agent.rest(SOON_S)
+
+    def _look(self) -> None:
+        docker = testing.FakeDocker(*self.facts.values())
+        found = self._check.run(testing.world(clock=self.agent.clock, docker=docker))
+        assert isinstance(found, Result)
+        self.agent.found["container/app"] = found
+
+    def became(self, **fields: Any) -> None:
+        self.facts["app"] = testing.container("app", **fields)
+
+    def found_as(self) -> list[str]:
+        """The conditions with which faults were opened."""
+        return [event.fault.result.condition for event in self.agent.of(FaultOpened)]
+
+    def opened_at(self) -> float:
+        opened: FaultOpened = self.agent.of(FaultOpened)[0]
+        return opened.fault.opened.mono
+
+
+@pytest.fixture
+def scene() -> Iterator[Scene]:
+    made = Scene()
+    yield made
+    made.agent.stop()
+
+
+def test_a_container_that_compose_makes_is_not_started_by_phm(scene: Scene) -> None:
+    """It waits for the health of what it depends on; nothing is reported, not even the nodes that it does not have."""
+    scene.became(status="created", id="new")
+    scene.agent.bad = {"nodes/app": "broken"}
+    scene.agent.rest(UNSTARTED_S - SOON_S)
+    assert scene.agent.opened() == [] and scene.agent.runs == []
+    scene.became(id="new")
+    scene.agent.bad = {}
+    scene.agent.rest(SOON_S)
+    assert scene.agent.opened() == [] and scene.agent.runs == []
+
+
+def test_a_container_that_stays_unstarted_is_a_fault_and_is_started(scene: Scene) -> None:
+    """`docker compose create`, or an update that was not finished."""
+    scene.became(status="created", id="new")
+    scene.agent.rest(UNSTARTED_S - SOON_S)
+    assert scene.agent.opened() == []
+    scene.agent.until(lambda: scene.agent.acted() == ["start"], "the start")
+    assert scene.agent.opened() == ["container/app"] and scene.found_as() == ["created"]
+
+
+def test_a_start_that_failed_is_repeated_immediately(scene: Scene) -> None:
+    """The engine's error shows that someone has tried."""
+    begun = scene.agent.clock.mono()
+    scene.became(status="created", id="new", error="no such file")
+    scene.agent.until(lambda: scene.agent.acted() == ["start"], "the start")
+    assert scene.found_as() == ["created"] and scene.opened_at() - begun < SOON_S
+
+
+def test_the_minute_counts_also_where_its_absence_was_a_fault(scene: Scene) -> None:
+    """`docker compose down` and later `up`: the fault that it is missing is open, and no reason to start it early."""
+    del scene.facts["app"]
+    scene.agent.until(lambda: scene.agent.opened() == ["container/app"], "the alarm")
+    scene.became(status="created", id="new")
+    scene.agent.rest(UNSTARTED_S - SOON_S)
+    assert scene.agent.runs == []
+    scene.agent.until(lambda: scene.agent.acted() == ["start"], "the start")
+    assert scene.found_as() == ["missing"] and scene.agent.opened() == ["container/app"]
+
+
+def test_another_fault_of_the_container_does_not_start_it_either(scene: Scene) -> None:
+    """A node was broken before its container was replaced by one that is not started yet."""
+    scene.agent.missing = "the engine does not answer"
+    scene.agent.bad = {"nodes/app": "broken"}
+    scene.agent.rest(15.0)
+    assert scene.agent.opened() == ["nodes/app"] and scene.agent.runs == []
+    scene.became(status="created", id="new")
+    scene.agent.missing = ""
+    scene.agent.rest(UNSTARTED_S - SOON_S)
+    assert scene.agent.runs == []

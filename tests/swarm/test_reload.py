@@ -1,0 +1,55 @@
+"""After a reload the agents that were received before are still known."""
+
+from __future__ import annotations
+
+import pytest
+
+from phm.core.model import Level, Slot
+from phm.core.settings import SwarmSettings
+from phm.probes.swarm import SwarmMonitor
+from phm.testing import FakeClock, settings
+from phm.transport.dialect import mavlink
+from phm.transport.mavlink import MavlinkHub
+from phm.wire import status_word
+from tests.fakes.mavlink import Sender, heartbeat
+
+LINK = {"url": "udpin:127.0.0.1:14550", "name": "radio"}
+WORD = status_word.encode({Slot.CONTAINER: Level.OK})
+
+
+class Ports:
+    """Closed endpoints, which stay the same, with one monitor after the other."""
+
+    def __init__(self) -> None:
+        self.clock, self.chosen = FakeClock(), settings(agent={"id": 1}, mavlink={"endpoints": [LINK]})
+        self.hub = MavlinkHub(self.chosen.mavlink, 1, self.clock)
+
+    def monitor(self, *agents: int) -> SwarmMonitor:
+        listed = SwarmSettings(agents=agents)
+        return SwarmMonitor(self.hub, 1, self.chosen.mavlink, listed, self.clock, lambda: None, lambda: None)
+
+    def receive(self, agent: int) -> None:
+        message = heartbeat(WORD, kind=mavlink.MAV_TYPE_ONBOARD_CONTROLLER)
+        self.hub._deliver(Sender(agent, self.chosen.mavlink.component_id).received(message), "radio")
+
+
+@pytest.mark.parametrize(("listed", "expected"), [((), {2: "lost"}), ((1, 2), {2: "lost"})])
+def test_an_agent_that_is_lost_does_not_become_one_that_was_never_there(
+    listed: tuple[int, ...], expected: dict[int, str]
+) -> None:
+    ports = Ports()
+    before = ports.monitor(*listed)
+    ports.receive(2)
+    ports.clock.advance(600.0)
+    after = ports.monitor(*listed)
+    after.resume(before)
+    assert {agent: peer.state for agent, peer in after.snapshot().peers.items()} == expected
+
+
+def test_agents_of_another_list_are_not_taken_over() -> None:
+    ports = Ports()
+    before = ports.monitor(2)
+    ports.receive(2)
+    after = ports.monitor(3)
+    after.resume(before)
+    assert {agent: peer.state for agent, peer in after.snapshot().peers.items()} == {3: "never seen"}
