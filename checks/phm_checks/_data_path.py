@@ -71,6 +71,11 @@ class DataPath:
             self._blocked_generation = generation
         return why
 
+    def interrupted(self) -> None:
+        """The container is paused or has ended: the silence of that time says nothing about the path, unless it was blocked before."""
+        if self._blocked_generation != self._generation:
+            self._generation = ""
+
     def waiting(self, world: api.World, generation: str) -> bool:
         """Whether the path was blocked in the previous generation and it is not yet known if data arrives in this one. Call after `why`."""
         if self._blocked_generation in ("", generation):

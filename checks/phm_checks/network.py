@@ -54,6 +54,7 @@ class Network(PerContainer):
     def run(self, world: api.World) -> api.Result:
         fact = world.docker.container(self.key)
         if fact is None or not fact.running:
+            self._data_path.interrupted()
             return api.stale(f"networks of {self.key} are not checked while it is not running")
         special = self._mode(fact)
         if special is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 from phm import api
 from phm.api import Layer, Level, Slot
@@ -64,13 +65,19 @@ class Peers(api.Check):
         if found:
             first = api.worst(found)
             words = joined([result.summary for result in found])
-            return api.Result(
-                first.level, words, combined(found), first.condition, values=values, evidence=first.evidence
-            )
+            lost = self._subjects(agent for agent, peer in fact.peers.items() if peer.state == "lost")
+            evidence = replace(first.evidence, subjects=lost)
+            return api.Result(first.level, words, combined(found), first.condition, values=values, evidence=evidence)
         if not fact.peers:
             words = "no heartbeat from another agent received, and none is configured (swarm.agents)"
             return api.bypass(words, values=values).with_evidence(api.Evidence(unobserved=True))
-        return api.ok(f"{fact.living} of {fact.members} agents of the swarm are alive", values=values)
+        received = self._subjects(agent for agent, peer in fact.peers.items() if peer.age_s is not None)
+        words = f"{fact.living} of {fact.members} agents of the swarm are alive"
+        return api.ok(words, values=values).with_evidence(api.Evidence(subjects=received))
+
+    def _subjects(self, agents: Iterable[int]) -> tuple[str, ...] | None:
+        """For `Evidence.subjects`: without a configuration only the agents received since PHM's start are known."""
+        return None if self._agents else tuple(_name(agent) for agent in sorted(agents))
 
     def _split(self, fact: api.SwarmFact) -> list[api.Result]:
         lost = [agent for agent, peer in fact.peers.items() if peer.state == "lost"]

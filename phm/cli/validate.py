@@ -62,11 +62,15 @@ def _examples() -> int:
 
 def validate(path: str | None, as_json: bool, environ: Mapping[str, str] | None = None) -> int:
     """Print the result; problems on stderr, one a line (with as_json all on stdout). Returns 0 or 78."""
-    from phm.config import ConfigError, fractions
-    from phm.runtime.configuration import read
+    from phm.config import ConfigError, find, fractions
+    from phm.config.loader import read_file
+    from phm.runtime.configuration import read_text
 
+    variables = os.environ if environ is None else environ
     try:
-        good = read(path, environ)
+        file = find(path)
+        text = read_file(file)
+        good = read_text(text, str(file), variables)
     except ConfigError as error:
         if as_json:
             problems = [asdict(problem) for problem in error.problems]
@@ -76,7 +80,7 @@ def validate(path: str | None, as_json: bool, environ: Mapping[str, str] | None 
             click.echo(str(error), err=True)
             click.echo(f"{count} problem{'s' if count != 1 else ''}", err=True)
         return EX_CONFIG
-    warnings = [*_warnings(good), *fractions.warnings(good.file, os.environ if environ is None else environ)]
+    warnings = [*_warnings(good), *fractions.warnings(text, good.file, variables)]
     if as_json:
         click.echo(json.dumps({"ok": True, **_facts(good), "problems": [], "warnings": warnings}, indent=2))
     else:

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path as FilePath
 from typing import Any
 
 from phm.config.env_expansion import Expander
-from phm.config.loader import read_file
-from phm.config.problems import ConfigError, Path, Problem, dotted
+from phm.config.problems import Path, Problem, dotted
 from phm.config.schema_lookup import field_at, unit_of
 from phm.config.yaml_tree import parse
 
 
-def warnings(file: str, environ: Mapping[str, str]) -> list[str]:
-    """One for each bare number above 0 and below 1 where percent are expected. The file is valid, and may mean it."""
-    try:
-        tree = parse(read_file(FilePath(file)), file, Expander(environ))
-    except ConfigError:  # it was replaced since it was found to be valid
-        return []
+def warnings(text: str, file: str, environ: Mapping[str, str]) -> list[str]:
+    """One for each bare number above 0 and below 1 where percent are expected. text: of a valid file, which may mean it."""
+    tree = parse(text, file, Expander(environ))
     return [
         str(Problem(file, tree.line(path), dotted(path), _sentence(number)))
         for path, number in _numbers(tree.data, ())

@@ -104,6 +104,8 @@ class Evidence:
     ended_by:     what ended the earlier failure of the unit, as observed, e.g. ``reboot``: no action is credited for it.
     forecast:     the unit works, and this WARN is about what may come: an earlier failure of the unit is over.
     unobserved:   PHM has not observed the subject since its start, and this OK does not say that an earlier failure is over.
+    subjects:     names of those that this bad result is about, or that this OK covers, where the unit reports on several that are not
+                  configured: after a restart of PHM an OK must cover all that had failed before. None: this OK covers all.
     """
 
     generation: str = ""
@@ -120,6 +122,7 @@ class Evidence:
     ended_by: str = ""
     forecast: bool = False
     unobserved: bool = False
+    subjects: tuple[str, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -46,6 +46,8 @@ ENDED = "exited"
 """The condition of a container that an operator may have stopped; for one that may have been paused see `PAUSED`."""
 NOT_STARTED = "not_started"
 """The condition of a container that was created and waits for its first start (`phm_checks.container`)."""
+NOT_STARTED_S = 60.0
+"""While the state of such a container is unknown, it counts as not started for this long: its creator has no more time anyway."""
 ENGINE, CONTAINER, ENGINE_DOWN = "engine", "container/", "engine_down"
 """The unit of the Docker Engine, units of containers, and the condition of an engine that does not respond."""
 GENERATION_S = 2.0
@@ -78,6 +80,8 @@ class TargetWorker:
         self._lock = threading.Lock()
         self._under_way: UnfinishedAction | None = None
         self._left_down: dict[str, FaultCase] = {}
+        self._not_started_at: float | None = None
+        """When its container was last known to wait for its first start (monotonic seconds); None: it does not."""
         self._wake = threading.Event()
         self._stopping = False
         threads.start(threading.Thread(target=self._loop, name=f"phm-recover-{self._name}", daemon=True))
@@ -180,6 +184,7 @@ class TargetWorker:
 
     def _next(self) -> float | None:
         """Handle the most upstream fault first. Returns the seconds to wait (0: decide again now, None: until woken)."""
+        self._waits_for_start()  # while nothing is decided, too
         cases = self._current()
         waits = [GENERATION_S] if self._changes.update(cases) else []
         if self._requests is not None and self._requests.pending:
@@ -373,9 +378,21 @@ class TargetWorker:
         return "the Docker Engine does not report its state" if without else ""
 
     def _waits_for_start(self) -> str:
-        """Why no action may start the container, as a sentence; empty: it has been started, or nothing is known."""
-        own = self._pipeline.newest(f"{CONTAINER}{self._name}")
-        return own.summary if own is not None and own.condition == NOT_STARTED else ""
+        """Why no action may start the container, as a sentence; empty: it has been started, or nothing is known.
+
+        One request that the engine did not answer does not show that it has been started.
+        """
+        own, now = self._pipeline.newest(f"{CONTAINER}{self._name}"), self._clock.mono()
+        if own is None:
+            return ""
+        if own.condition == NOT_STARTED:
+            self._not_started_at = now
+            return own.summary
+        if own.level is not Level.STALE:
+            self._not_started_at = None
+        if self._not_started_at is None or now - self._not_started_at >= NOT_STARTED_S:
+            return ""
+        return f"it was created, and it is not known whether it has been started: {own.summary}"
 
     def _carry_out(self, case: FaultCase, act: Act, attempt: Attempt, record: AttemptRecord) -> None:
         worked, before = False, self._generations.current(self._name)

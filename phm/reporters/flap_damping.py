@@ -4,17 +4,19 @@ A unit with MANY failures and recoveries within WITHIN_S is reported once more, 
 neither failed nor recovered for CALM_S; then its state is reported again. A failure worse than those reported is sent even then.
 Nothing is hidden meanwhile: the status word and the refresh show each change, and the log has all of them.
 
-Changed texts of a failure that lasts do not count. After MANY of them the newest is sent every CALM_S.
+Changed texts of a failure that lasts do not count. After MANY of them the newest is sent every CALM_S, as a refresh: as changes,
+the texts of one unit would use up the budget of an agent of a large swarm.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 from phm.core.rate_limiter import TokenBucket
 from phm.reporters.statustext import StatusTextLine
+from phm.transport.priority import MessagePriority
 from phm.wire.status_line import Severity
 
 MANY, WITHIN_S = 6, 60.0
@@ -27,6 +29,8 @@ MAX_UNITS = 1000
 class _Unit:
     texts: TokenBucket
     """How many changed texts of the same state may be sent now."""
+    texts_sent: int = 0
+    """Changed texts since the last failure or recovery."""
     changes: deque[tuple[float, Severity]] = field(default_factory=lambda: deque(maxlen=MANY))
     severity: Severity | None = None
     """Of the newest line, also if that was suppressed."""
@@ -49,19 +53,27 @@ class FlapDamper:
         """The lines to send now. flapping: the text of the line that is sent when suppression of a unit begins."""
         return [passed for line in lines if (passed := self._pass(line, now, flapping)) is not None]
 
-    def settled(self, now: float) -> list[StatusTextLine]:
-        """The lines to send about units that are stable again, and the texts that were held back for long enough."""
+    def settled(
+        self, now: float, still_true: Callable[[StatusTextLine], bool] = lambda line: True
+    ) -> list[StatusTextLine]:
+        """The lines to send about units that are stable again, and the texts that were held back for long enough.
+
+        still_true: whether a line that was held back may be sent now. One that may not waits on, until a newer one replaces it.
+        """
         passed = []
         for unit in self._units.values():
-            if unit.flaps:
-                if now - unit.changes[-1][0] < CALM_S:
-                    continue
+            stable = unit.flaps and now - unit.changes[-1][0] >= CALM_S
+            if stable:
                 unit.flaps = False
                 unit.changes.clear()
-            elif unit.held is None or not _may_send_text(unit, now):
+            if unit.flaps or unit.held is None or not still_true(unit.held):
                 continue
-            if unit.held is not None:
+            if stable:
                 passed.append(unit.held)
+            elif _may_send_text(unit, now):
+                passed.append(_text(unit, unit.held))
+            else:
+                continue
             unit.held = None
         return passed
 
@@ -71,6 +83,7 @@ class FlapDamper:
         changed = self._every_line or line.severity != before
         if changed:
             unit.changes.append((now, line.severity))
+            unit.texts_sent = 0
         if _suppressed(unit, line, now, changed=changed):
             unit.held = line
             return None
@@ -81,7 +94,7 @@ class FlapDamper:
             unit.worst = min(severity for _, severity in unit.changes)
             return StatusTextLine(line.key, Severity.WARNING, flapping)
         unit.held, unit.worst = None, line.severity
-        return line
+        return line if changed else _text(unit, line)
 
     def _unit(self, key: str, now: float) -> _Unit:
         unit = self._units.pop(key, None) or _Unit(TokenBucket(MANY, now))
@@ -99,6 +112,12 @@ def _suppressed(unit: _Unit, line: StatusTextLine, now: float, *, changed: bool)
 
 def _flaps(unit: _Unit, now: float) -> bool:
     return len(unit.changes) == MANY and now - unit.changes[0][0] <= WITHIN_S
+
+
+def _text(unit: _Unit, line: StatusTextLine) -> StatusTextLine:
+    """A changed text to send now."""
+    unit.texts_sent += 1
+    return line if unit.texts_sent <= MANY else replace(line, kind=MessagePriority.REFRESH)
 
 
 def _may_send_text(unit: _Unit, now: float) -> bool:

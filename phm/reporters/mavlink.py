@@ -26,8 +26,9 @@ from phm.reporters.gcs_presence import GcsPresence
 from phm.reporters.statustext import StatusTextBuilder, StatusTextLine
 from phm.reporters.swarm import MISSED_HEARTBEATS
 from phm.transport.dialect import mavlink
-from phm.transport.priority import default_periods
+from phm.transport.priority import MessagePriority, default_periods
 from phm.wire import status_line, status_word
+from phm.wire.status_line import Severity
 
 PEERS = "peers/"
 """Units about other agents."""
@@ -87,7 +88,7 @@ class MavlinkReporter(Reporter):
     def tick(self) -> None:
         """Send heartbeat, refresh and the full state when due, while the check scheduler runs."""
         now = self._context.clock.mono()
-        self._say(self._damper.settled(now))
+        self._say(self._damper.settled(now, self._still_true))
         self._take_over(now)
         by_size_s = default_periods(self._port.agents)
         if self._context.alive():
@@ -130,6 +131,12 @@ class MavlinkReporter(Reporter):
         flapping = status_line.flapping(self._agent, slot, brief)
         self._say(self._damper.filter(lines, self._context.clock.mono(), flapping))
 
+    def _still_true(self, line: StatusTextLine) -> bool:
+        """Whether a line that was held back may be sent now. The unit of a failure may be unknown by now, or blocked."""
+        if line.severity > Severity.WARNING:
+            return True
+        return any(state.unit == line.key and state.level.bad for state in self._context.states())
+
     def _say_again(self) -> None:
         states = self._context.states()
         if any(state.slot is Slot.RADIO and state.level.bad for state in states):
@@ -159,7 +166,9 @@ class MavlinkReporter(Reporter):
                     continue
                 self._left_to_leader.pop(line.key, None)
             message = mavlink.MAVLink_statustext_message(int(line.severity), line.text.encode("ascii"))
-            self._port.send(message, line.kind, key=line.key, urgency=int(line.severity))
+            # A text that was limited takes turns with the refresh line, which would otherwise wait for it without an end.
+            urgency = Severity.INFO if line.kind is MessagePriority.REFRESH else line.severity
+            self._port.send(message, line.kind, key=line.key, urgency=int(urgency))
 
     def _heartbeat(self) -> None:
         states = self._context.states()

@@ -131,14 +131,14 @@ class StatusTextBuilder:
         return lines
 
     def full(self, states: Sequence[UnitState]) -> list[StatusTextLine]:
-        """All failures again, worst first, for a new ground station, and what waits for the operator, also while its unit is unknown."""
+        """All failures again, worst first, for a new ground station, and what waits for the operator, also while its unit is unknown:
+        at most one request for each unit, until it is OK."""
+        ranked = status_line.worst_first(states)
         lines = []
-        for state in status_line.worst_first(states)[:FULL_LINES]:
-            if state.level.bad:
-                self._sent.pop(state.unit, None)
-                lines += self._bad(state)
-            if state.unit in self._asks:
-                lines.append(self._asks[state.unit])
+        for state in [state for state in ranked if state.level.bad][:FULL_LINES]:
+            self._sent.pop(state.unit, None)
+            lines += self._bad(state)
+        lines += [self._asks[state.unit] for state in ranked if state.unit in self._asks]
         return [*(replace(line, kind=MessagePriority.STATE) for line in lines), self.refresh(states)]
 
     def refresh(self, states: Sequence[UnitState]) -> StatusTextLine:

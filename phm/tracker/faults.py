@@ -19,6 +19,8 @@ TIMEOUT = "timeout"
 UNOBSERVED_S = 3600.0
 """How long a restored fault stays open without an observation of its subject: longer than most flights. Not for good, because the
 subject may have been removed on purpose."""
+MOST_NAMES = 8
+"""So many subjects are named that were not observed; of the others, the number."""
 MOST_COUNTED = 10_000
 """A start of PHM after as many faults begins at 1 again: a line of the ground has 50 characters."""
 RESTORED = "restored after a restart of PHM"
@@ -134,14 +136,16 @@ def _present_ok_s(record: UnitRecord, now: Stamp) -> float:
     return now.mono - record.published.since.mono if record.published.level is Level.OK else 0.0
 
 
-def as_unobserved(result: Result) -> Result:
-    """The result of a check that has observed nothing since PHM's start, for a unit with a restored fault."""
-    return replace(
-        result, level=Level.STALE, summary=f"not observed since PHM was restarted: {result.summary}", bypass=False
-    )
+def as_unobserved(result: Result, subjects: Iterable[str]) -> Result:
+    """The result of a check that has not observed all since PHM's start, for a unit with a restored fault. subjects: those missing."""
+    names = sorted(subjects)
+    more = [f"+{len(names) - MOST_NAMES}"] if len(names) > MOST_NAMES else []
+    words = " ".join([*names[:MOST_NAMES], *more, "not observed since PHM was restarted"])
+    return replace(result, level=Level.STALE, summary=f"{words}: {result.summary}", bypass=False)
 
 
 def _restored(record: UnitRecord, fault: Fault, name: str, now: Stamp) -> None:
     result = replace(fault.result, level=Level.ERROR, summary=f"{RESTORED}: {fault.result.summary}")
     record.published = replace(record.published, level=Level.ERROR, result=result, since=fault.opened, fault=name)
     record.reported, record.unobserved_until = True, now.mono + UNOBSERVED_S
+    record.restored_subjects = frozenset(fault.result.evidence.subjects or ())

@@ -175,8 +175,9 @@ class Tracker:
         record = self._units[unit]
         if started < record.started:
             return effects  # an overdue run that finished after a newer one
-        if result.evidence.unobserved and now.mono < record.unobserved_until:
-            result = as_unobserved(result)
+        unseen = record.not_observed(result)
+        if (unseen or result.evidence.unobserved) and now.mono < record.unobserved_until:
+            result = as_unobserved(result, unseen)
         record.latest, record.started = result, started
         record.had_error = record.had_error or record.failing
         record.error_since = (started if record.error_since is None else record.error_since) if record.failing else None
@@ -386,8 +387,10 @@ class Tracker:
             self._count_ok(record, now)
             self._publish(record, result, now, effects)
         if record.fault is not None:
-            by = TIMEOUT if result.evidence.unobserved else record.ended_by or record.fault.by or ITSELF
+            unobserved = result.evidence.unobserved or record.not_observed(result)
+            by = TIMEOUT if unobserved else record.ended_by or record.fault.by or ITSELF
             self._faults.close(record, Outcome.RESOLVED, by, now, effects)
+        record.restored_subjects = frozenset()
         if result.level is not Level.OK:  # another problem, reported after the end of the first
             self._publish(record, result, now, effects)
         if recovered:
@@ -519,6 +522,7 @@ def _statement(result: Result) -> tuple[str, str, str]:
 
 
 def _basis(result: Result) -> tuple[object, ...]:
-    """What recovery decides by: the statement, and the evidence that it reads. Other evidence may differ in each run."""
+    """What recovery decides by, and a restart of PHM: the statement, and the evidence that they read. Other evidence may differ in each
+    run."""
     evidence = result.evidence
-    return *_statement(result), evidence.never_ok, evidence.file, evidence.listed
+    return *_statement(result), evidence.never_ok, evidence.file, evidence.listed, evidence.subjects

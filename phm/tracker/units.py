@@ -114,6 +114,8 @@ class UnitRecord:
     """It got grace after a failure of a dependency that was never published, and has not been OK since."""
     unobserved_until: float = NEVER
     """A fault was restored: until then a result without an observation (`Evidence.unobserved`) is STALE, not OK."""
+    restored_subjects: frozenset[str] = frozenset()
+    """What that fault is about (`Evidence.subjects`): an OK that does not cover all of them is not an observation either."""
     ok_since: float | None = None
     container_started: float = NEVER
     """When its container was last observed to start."""
@@ -168,6 +170,13 @@ class UnitRecord:
             self.valid_from = now
         else:
             self.pending = replace(self.pending, again_from=now)
+
+    def not_observed(self, result: Result) -> frozenset[str]:
+        """What failed before PHM was restarted, if this is an OK that does not cover it."""
+        covered = result.evidence.subjects
+        if covered is None or result.level is not Level.OK:
+            return frozenset()
+        return self.restored_subjects.difference(covered)
 
     def update_condition(self, result: Result) -> None:
         """The problem has changed: update the fault that is open or was given up."""

@@ -9,7 +9,7 @@ was saved up.
 from __future__ import annotations
 
 from collections import OrderedDict
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Any
 
@@ -48,7 +48,7 @@ class MessagePriority(IntEnum):
     SWARM = 2
     """Views and digests."""
     REFRESH = 3
-    """Periodic messages."""
+    """Periodic messages, and texts of a failure that change all the time."""
     REQUEST = 4
     """Requested messages: details, ONBOARD_COMPUTER_STATUS. They take turns with routine messages (`LinkBudget`)."""
 
@@ -58,7 +58,7 @@ ROUTINE = frozenset({MessagePriority.SWARM, MessagePriority.REFRESH})
 
 @dataclass(frozen=True, slots=True)
 class QueuedMessage:
-    """One message that waits. A newer one with the same key replaces it. size: bytes on the wire."""
+    """One message that waits. A newer one with the same key takes its place. size: bytes on the wire."""
 
     key: str
     kind: MessagePriority
@@ -123,7 +123,8 @@ class LinkBudget:
     Invariant: over any time t not more than `burst + t * rate` bytes leave besides the heartbeats.
 
     An answer to a command is sent before routine messages until answers have used ROUTINE_ROOM more bytes than these; then both
-    take turns. So an answer does not wait for minutes, and a sender of many commands cannot stop views and refreshes.
+    take turns. So an answer does not wait for minutes, and a sender of many commands cannot stop views and refreshes. Answers to
+    unsigned senders are not among these: they are last, and leave the room that routine messages leave.
     """
 
     bytes_s: float | None
@@ -167,9 +168,10 @@ class LinkBudget:
 
     def put(self, item: QueuedMessage) -> None:
         """Queue a message; it replaces the one with its key. When too many wait, the least important one is dropped."""
-        old = self._waiting.pop(item.key, None)
+        old = self._waiting.get(item.key)
         if old is not None:
             self.counts[old.kind].coalesced += 1
+            item = _replacing(old, item)
         self._waiting[item.key] = item
         if len(self._waiting) > MAX_WAITING:
             least = max(self._waiting.values(), key=_order)
@@ -180,7 +182,7 @@ class LinkBudget:
         """The message to send now, or None. A small message does not pass a more important one that waits for credit."""
         self._credit.refill(now, self.rate / self.flow.factor(now), self.burst)
         item = self._first()
-        if item is None or self._credit.tokens - item.size < _room(item.kind):
+        if item is None or self._credit.tokens - item.size < _room(item):
             return None
         self._credit.take(item.size)
         self._ahead = min(max(self._ahead + _answer_bytes(item), -ROUTINE_ROOM), ROUTINE_ROOM)
@@ -204,6 +206,7 @@ class LinkBudget:
         count.sent, count.bytes = count.sent - 1, count.bytes - item.size
         if item.key in self._waiting:
             count.coalesced += 1
+            self._waiting[item.key] = _replacing(item, self._waiting[item.key])
             return
         self._waiting[item.key] = item
         self._waiting.move_to_end(item.key, last=False)
@@ -223,6 +226,13 @@ def _order(item: QueuedMessage) -> tuple[int, int]:
     return item.kind, item.urgency
 
 
+def _replacing(old: QueuedMessage, new: QueuedMessage) -> QueuedMessage:
+    """The newer message, at least as important as the one that it replaces: what that was about was not sent."""
+    if new.kind <= old.kind:
+        return new
+    return replace(new, kind=old.kind, urgency=min(old.urgency, new.urgency))
+
+
 def _is_answer(item: QueuedMessage) -> bool:
     """Whether it may be sent before routine messages."""
     return item.kind is MessagePriority.REQUEST and item.urgency < UNSIGNED_LAST
@@ -230,13 +240,13 @@ def _is_answer(item: QueuedMessage) -> bool:
 
 def _answer_bytes(item: QueuedMessage) -> float:
     """By how much it changes `LinkBudget._ahead`."""
-    if item.kind is MessagePriority.REQUEST:
+    if _is_answer(item):
         return item.size
     return -item.size if item.kind in ROUTINE else 0.0
 
 
-def _room(kind: MessagePriority) -> float:
-    """Bytes that must remain after a message of this priority."""
-    if kind is MessagePriority.TRANSITION:
+def _room(item: QueuedMessage) -> float:
+    """Bytes that must remain after this message."""
+    if item.kind is MessagePriority.TRANSITION:
         return 0.0
-    return ROUTINE_ROOM if kind in ROUTINE else LINE_ROOM
+    return LINE_ROOM if item.kind is MessagePriority.STATE or _is_answer(item) else ROUTINE_ROOM

@@ -364,6 +364,33 @@ def test_nodes_that_are_neither_listed_nor_received_are_one_fault(path: DataPath
     assert "is connected and responds, but none of its 2 nodes is listed" in result.summary
 
 
+@pytest.mark.parametrize("listed", [False, True])
+def test_a_pause_of_the_container_is_not_a_silence_of_its_nodes(path: DataPath, listed: bool) -> None:
+    """Seen after a `docker pause` of 15 s: nodes are listed and received again some seconds after the unpause."""
+    running = path.docker.containers["ros_app"]
+    path.docker.containers["ros_app"] = replace(running, status="paused")
+    assert path.later(10.0, 0.1, 0.1).level is api.Level.STALE
+    path.clock.advance(15.0)
+    path.docker.containers["ros_app"] = running
+    nodes = dict.fromkeys(NODES, 1) if listed else {}
+    for seconds in (0.1, 3.0, 5.0):
+        path.clock.advance(seconds)
+        path.ros.change(nodes=nodes, beacons={name: api.BeaconFact(15.0 + seconds, 0.2) for name in NODES})
+        assert path.observe().level is api.Level.OK
+    assert path.later(2.0, 0.1, 0.2).level is api.Level.OK
+    assert path.later(10.0, 4.0, 4.4).condition == "transport_blocked"
+
+
+def test_a_pause_does_not_end_a_blocked_transport(path: DataPath) -> None:
+    """It is over when data is received."""
+    assert path.later(10.0, 4.0, 4.4).condition == "transport_blocked"
+    running = path.docker.containers["ros_app"]
+    path.docker.containers["ros_app"] = replace(running, status="paused")
+    assert path.later(5.0, 9.0, 9.4).level is api.Level.STALE
+    path.docker.containers["ros_app"] = running
+    assert path.later(5.0, 14.0, 14.4).condition == "transport_blocked"
+
+
 def test_an_address_that_is_not_checked_is_not_said_to_respond() -> None:
     """The text names only what was observed."""
     path = DataPath(address=False)

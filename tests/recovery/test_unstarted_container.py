@@ -8,14 +8,16 @@ from typing import Any
 import pytest
 
 from phm import testing
-from phm.api import Result
+from phm.api import Result, stale
 from phm.core.model import FaultOpened
+from phm.recovery.worker import NOT_STARTED_S
 from phm.testing import FakeClock
 from phm_checks.container import UNSTARTED_S, Container
 from tests.recovery.simulated_agent import Agent, Containers, Of
 
 UNITS = {"container/app": Of("app"), "nodes/app": Of("app", ("container/app",))}
 SOON_S = 3.0
+UNKNOWN = stale("the Docker Engine did not respond within 2 s")
 
 
 class Scene:
@@ -24,12 +26,16 @@ class Scene:
     def __init__(self) -> None:
         self.agent = Agent(UNITS, Containers("app"), FakeClock(), actions=("start", "restart"))
         self.facts = self.agent.containers.facts
+        self.unknown = False
         (self._check,) = Container.build(testing.settings(containers=[{"name": "app"}]))
         observe = self.agent.observe
         self.agent.observe = lambda: (self._look(), observe())[1]  # type: ignore[method-assign]
         self.agent.rest(SOON_S)
 
     def _look(self) -> None:
+        if self.unknown:
+            self.agent.found["container/app"] = UNKNOWN
+            return
         docker = testing.FakeDocker(*self.facts.values())
         found = self._check.run(testing.world(clock=self.agent.clock, docker=docker))
         assert isinstance(found, Result)
@@ -94,7 +100,7 @@ def test_the_minute_counts_also_where_its_absence_was_a_fault(scene: Scene) -> N
     assert scene.found_as() == ["missing"] and scene.agent.opened() == ["container/app"]
 
 
-def test_another_fault_of_the_container_does_not_start_it_either(scene: Scene) -> None:
+def broken_before(scene: Scene) -> None:
     """A node was broken before its container was replaced by one that is not started yet."""
     scene.agent.missing = "the engine does not answer"
     scene.agent.bad = {"nodes/app": "broken"}
@@ -102,5 +108,36 @@ def test_another_fault_of_the_container_does_not_start_it_either(scene: Scene) -
     assert scene.agent.opened() == ["nodes/app"] and scene.agent.runs == []
     scene.became(status="created", id="new")
     scene.agent.missing = ""
+
+
+def test_another_fault_of_the_container_does_not_start_it_either(scene: Scene) -> None:
+    broken_before(scene)
     scene.agent.rest(UNSTARTED_S - SOON_S)
     assert scene.agent.runs == []
+
+
+@pytest.mark.parametrize("open_before", [True, False])
+def test_a_run_without_an_answer_does_not_start_it(scene: Scene, *, open_before: bool) -> None:
+    """The engine did not answer one request, or the check took too long: whether it has been started is unknown for some seconds."""
+    if open_before:
+        broken_before(scene)
+    scene.became(status="created", id="new")
+    scene.agent.bad = {"nodes/app": "broken"}
+    scene.agent.rest(SOON_S)
+    scene.unknown = True
+    scene.agent.rest(SOON_S)
+    scene.unknown = False
+    scene.agent.rest(SOON_S)
+    assert scene.agent.runs == []
+    scene.became(id="new")
+    scene.agent.until(lambda: scene.agent.runs, "the action on the node, which is broken in the new container, too")
+
+
+def test_a_container_whose_state_stays_unknown_is_not_waited_for_longer(scene: Scene) -> None:
+    """Its creator has had its time."""
+    broken_before(scene)
+    scene.agent.rest(SOON_S)
+    scene.unknown = True
+    scene.agent.rest(NOT_STARTED_S - SOON_S)
+    assert scene.agent.runs == []
+    scene.agent.until(lambda: scene.agent.runs, "the action on the node")

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import pytest
+
 from phm.core.model import Level
 from phm.reporters.flap_damping import CALM_S, MANY, FlapDamper
 from phm.reporters.statustext import StatusTextLine
+from phm.transport.priority import MessagePriority
 from phm.wire.status_line import Severity
 from tests.reporters.test_mavlink import Scene
 
@@ -52,6 +57,71 @@ def test_a_text_that_changes_all_the_time_is_limited_and_its_end_is_not_late() -
     assert MANY + 600 / CALM_S - 1 <= len(sent) <= MANY + 600 / CALM_S + 1
     assert passed(damper, 602.0, OK) == ["NOTICE"]
     assert damper.settled(700.0) == [], "the text that waited is outdated"
+
+
+def test_after_many_texts_of_a_failure_the_next_are_sent_as_refreshes() -> None:
+    """Also those with long enough pauses that none is held back. Its worsening and its end are changes, and the texts of
+    the next failure.
+    """
+    damper = FlapDamper()
+    kinds = []
+    for number in range(2 * MANY):
+        now = number * CALM_S
+        kinds += [one.kind for one in damper.filter([line(WARN, f"text {number}")], now, FLAPPING)]
+    assert kinds == [MessagePriority.TRANSITION] * (MANY + 1) + [MessagePriority.REFRESH] * (MANY - 1)
+    for severity in (FAIL, OK, WARN):
+        (sent,) = damper.filter([line(severity)], now + 200.0, FLAPPING)
+        assert sent.kind is MessagePriority.TRANSITION
+    (sent,) = damper.filter([line(WARN, "another text")], now + 201.0, FLAPPING)
+    assert sent.kind is MessagePriority.TRANSITION
+
+
+def test_a_text_that_was_held_back_is_sent_as_a_refresh() -> None:
+    """It is one of many."""
+    damper = FlapDamper()
+    for number in range(MANY + 2):
+        passed(damper, 0.0, FAIL, f"text {number}")
+    (sent,) = damper.settled(CALM_S)
+    assert (sent.text, sent.kind) == (f"text {MANY + 1}", MessagePriority.REFRESH)
+
+
+def texts_used_up() -> Scene:
+    """A unit that fails, and whose newest text is held back."""
+    scene = Scene(refresh=600).running()
+    for number in range(MANY + 2):
+        scene.become("nodes/a", Level.ERROR, f"a at {number} %")
+        scene.pass_time(0.2)
+    assert scene.port.lines()[-1] == (2, f"A01 FAIL 6 a at {MANY} %")
+    return scene
+
+
+def flapped() -> Scene:
+    """A unit that flaps, and fails now."""
+    scene = Scene(refresh=600).running()
+    for _ in range(MANY):
+        scene.become("nodes/a", Level.ERROR, "a dead")
+        scene.become("nodes/a", Level.OK)
+    scene.become("nodes/a", Level.ERROR, "a dead")
+    assert scene.port.lines()[-1] == (4, FLAPPING)
+    return scene
+
+
+@pytest.mark.parametrize("held", [texts_used_up, flapped])
+@pytest.mark.parametrize("blocked_by", ["", "container/app"])
+def test_a_failure_that_was_held_back_is_not_sent_while_its_unit_is_unknown(
+    held: Callable[[], Scene], blocked_by: str
+) -> None:
+    """Or a consequence of another fault. It is sent when the unit is found bad again, and its end always."""
+    for again in (Level.ERROR, Level.OK):
+        scene = held()
+        brief = scene.units["nodes/a"].result.brief
+        scene.become("nodes/a", Level.STALE, blocked_by=blocked_by)
+        scene.pass_time(40.0)
+        assert [line for line in scene.port.lines() if line[0] < 6] == []
+        scene.become("nodes/a", again, brief)
+        scene.pass_time(1.0)
+        ((severity, words),) = [line for line in scene.port.lines() if line[0] < 6]
+        assert (severity, words) == (2, f"A01 FAIL 6 {brief}") if again is Level.ERROR else severity == 5
 
 
 def test_a_worsening_is_sent_and_not_replaced_by_a_warning() -> None:

@@ -239,6 +239,23 @@ def test_a_request_is_sent_again_while_its_unit_is_unknown() -> None:
     assert (4, "A01 ADVISE 2 restart app #17 60s") in scene.port.lines()
 
 
+@pytest.mark.parametrize("level", [Level.STALE, Level.ERROR])
+def test_a_request_is_sent_again_however_many_units_come_before_its_unit(level: Level) -> None:
+    """The limit of the full state is one for failures."""
+    scene = Scene().running()
+    scene.become("container/app", Level.ERROR, "app exited")
+    act(scene, Phase.ADVISED)
+    scene.become("container/app", level, "app exited")
+    others = {f"container/{n}": replace(scene.units["container/app"], unit=f"container/{n}") for n in range(12)}
+    scene.units = {**others, **scene.units}
+    scene.port.sent.clear()
+    scene.reporter.gcs_appeared()
+    scene.pass_time(1.0)
+    lines = scene.port.lines()
+    assert lines.count((4, "A01 ADVISE 2 restart app #17 60s")) == 1
+    assert [severity for severity, _ in lines].count(2) == (10 if level is Level.ERROR else 0)
+
+
 @pytest.mark.parametrize(
     ("phase", "expected"),
     [

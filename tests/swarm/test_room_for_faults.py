@@ -11,12 +11,14 @@ from phm.core.model import Level, Transition
 from phm.reporters.swarm import VIEW_HEARTBEATS
 from phm.testing import FakeClock
 from phm.transport.dialect import mavlink
+from phm.transport.mavlink_codec import Codec
 from phm.transport.priority import SWARM_BYTES_S, MessagePriority, default_periods
 from phm.transport.send_queue import SendQueue
 from phm.wire import tunnel
 from phm.wire.command import Command, CommandResult
 from sitl.simulation.fleet import Agent, Fleet
 from tests.fakes.mavlink import heartbeat, text
+from tests.reporters.test_mavlink import Scene
 
 SIGNATURE = 13
 STATUSTEXT, COMMAND_ACK = 13, 22
@@ -90,6 +92,59 @@ def test_routine_messages_alone_never_use_up_the_budget(agents: int, characters:
     queue.put(text("fault"), STATUSTEXT + 24 + extra, MessagePriority.TRANSITION, "fault", 2)
     queue.put(responses.ack(COMMAND, CommandResult.ACCEPTED), COMMAND_ACK + extra, MessagePriority.REQUEST, "ack")
     assert {item.key for item in iter(queue.take, None)} >= {"fault", "ack"}
+
+
+class Changing:
+    """A signing agent of a swarm with one unit whose text is a new one each second."""
+
+    def __init__(self, agents: int) -> None:
+        self.scene = Scene(agent=5)
+        self.scene.port.agents = agents
+        self.queue, codec = SendQueue(self.scene.clock, SWARM_BYTES_S), Codec(5, 193, lambda _: False)
+        self.queue.set_agent_count(agents, leads=False)
+        self.scene.port.to = lambda message, kind, key, urgency: self.queue.put(
+            message, codec.size(message) + SIGNATURE, kind, key, urgency
+        )
+        self.view_s, self.view_bytes = VIEW_HEARTBEATS * default_periods(agents)[0], VIEWS[agents] + SIGNATURE
+        self.second = 0
+        self.scene.running()
+
+    def pass_seconds(self, seconds: int) -> set[tuple[str, MessagePriority]]:
+        """Key and priority of what left within them."""
+        left = set()
+        for _ in range(seconds):
+            self.second += 1
+            if self.second % self.view_s == 0:
+                self.queue.put(view(), self.view_bytes, MessagePriority.SWARM, "view")
+            self.scene.become("nodes/a", Level.ERROR, f"node_1 waits {self.second} s for the other nodes")
+            self.scene.clock.advance(1.0)
+            self.scene.reporter.tick()
+            left |= {(item.key, item.kind) for item in iter(self.queue.take, None)}
+        return left
+
+
+@pytest.mark.parametrize("agents", [30, 100])
+def test_a_text_that_changes_each_second_leaves_room_for_everything_else(agents: int) -> None:
+    """After 20 minutes the full state, an answer and another fault leave immediately; then its texts and the routine
+    messages take turns.
+    """
+    agent = Changing(agents)
+    agent.pass_seconds(1200)
+    agent.scene.reporter.gcs_appeared()
+    agent.queue.put(
+        responses.ack(COMMAND, CommandResult.ACCEPTED), COMMAND_ACK + SIGNATURE, MessagePriority.REQUEST, "ack"
+    )
+    assert agent.pass_seconds(2) >= {("nodes/a", MessagePriority.STATE), ("ack", MessagePriority.REQUEST)}
+    agent.scene.become("host", Level.ERROR, "disk / 99 %")
+    assert ("host", MessagePriority.TRANSITION) in agent.pass_seconds(1)
+    for _ in range(3):
+        left = agent.pass_seconds(3600)
+        assert left == {
+            ("nodes/a", MessagePriority.REFRESH),
+            ("refresh", MessagePriority.REFRESH),
+            ("view", MessagePriority.SWARM),
+            ("", MessagePriority.TRANSITION),  # heartbeats
+        }
 
 
 def view() -> object:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from phm.api import bypass
+from phm import testing
+from phm.api import PeerFact, Result, bypass
 from phm.core.model import Evidence, Fault, Level, Outcome
-from phm.tracker.faults import ITSELF, TIMEOUT, UNOBSERVED_S
+from phm.tracker.faults import ITSELF, TIMEOUT, UNOBSERVED_S, as_unobserved
+from phm_checks.peers import SWARM, Peers
 from tests.fakes.tracker_bench import BAD, OK, Bench, unit
 
 UNIT = "autopilot"
 NOTHING = bypass("nothing received")
 UNOBSERVED = NOTHING.with_evidence(Evidence(unobserved=True))
+ALIVE, LOST = PeerFact("alive", 1.0, (1,)), PeerFact("lost", 20.0, (), (1,))
 
 
 def restarted(*, given_up: bool = False) -> Bench:
@@ -22,10 +25,32 @@ def restarted(*, given_up: bool = False) -> Bench:
     (fault,) = before.tracker.open_faults()
     if given_up:
         before.take(before.tracker.escalate(fault.id, before.stamp()))
+    return next_run(before)
+
+
+def next_run(before: Bench) -> Bench:
+    """PHM is restarted."""
     after, tracker = Bench(before.tracked, before.now + 10), before.tracker
     after.take(after.tracker.restore(tracker.open_faults(), tracker.given_up(), after.stamp(), tracker.fault_count))
     after.later(1)
     return after
+
+
+def received(*configured: int, **agents: PeerFact) -> Result:
+    """Of the check of the swarm. Without `swarm.agents` it knows only the agents that were received since PHM's start."""
+    peers = {int(name[1:]): peer for name, peer in agents.items()}
+    living = 1 + sum(peer.state != "lost" for peer in peers.values())
+    swarm = testing.FakeSwarm(peers=peers, members=1 + len(peers), living=living)
+    return dict(Peers(configured).run(testing.world(swarm=swarm)))[SWARM]
+
+
+def restarted_without(*lost: int) -> Bench:
+    """A run of PHM after one in which these agents of a swarm of five were lost."""
+    before = Bench([unit(SWARM)])
+    before.all_healthy()
+    before.see(SWARM, received(**{f"a{agent}": LOST if agent in lost else ALIVE for agent in (2, 3, 4, 5)}))
+    assert before.opened == [SWARM]
+    return next_run(before)
 
 
 def open_fault(bench: Bench) -> list[Fault]:
@@ -86,3 +111,60 @@ def test_without_a_restored_fault_nothing_received_is_not_applicable() -> None:
     bench = Bench([unit(UNIT)])
     bench.see(UNIT, UNOBSERVED)
     assert bench.tracker.state(UNIT).not_applicable
+
+
+def test_other_agents_do_not_end_the_fault_of_one_that_is_lost() -> None:
+    """It was lost before the restart, and the new run has not received it: it ends with the first OK that includes it."""
+    bench = restarted_without(3)
+    bench.see(SWARM, received())
+    for agents in ({"a2": ALIVE}, {"a2": ALIVE, "a4": ALIVE, "a5": ALIVE}):
+        bench.later(1)
+        bench.see(SWARM, received(**agents))
+        assert (bench.level(SWARM), bench.closed, len(open_fault(bench))) == (Level.STALE, [], 1)
+    assert bench.tracker.state(SWARM).result.summary.startswith("A03 not observed since PHM was restarted: ")
+    bench.later(1)
+    bench.see(SWARM, received(a2=ALIVE, a3=ALIVE))
+    assert (bench.level(SWARM), bench.closed) == (Level.OK, [(SWARM, Outcome.RESOLVED, ITSELF)])
+
+
+def test_another_loss_after_the_restart_does_not_end_it_either() -> None:
+    """One fault reports both; when the second agent is back, the first is still missing."""
+    bench = restarted_without(3)
+    for second, level in ((ALIVE, Level.STALE), (LOST, Level.ERROR), (ALIVE, Level.STALE)):
+        bench.see(SWARM, received(a2=second, a4=ALIVE))
+        assert (bench.level(SWARM), bench.opened, bench.closed) == (level, [], [])
+        bench.later(1)
+
+
+def test_each_lost_agent_must_be_received() -> None:
+    bench = restarted_without(3, 4, 5)
+    bench.see(SWARM, received(a2=ALIVE, a3=ALIVE, a5=ALIVE))
+    assert bench.tracker.state(SWARM).result.summary.startswith("A04 not observed since PHM was restarted: ")
+    bench.later(1)
+    bench.see(SWARM, received(a2=ALIVE, a3=ALIVE, a4=ALIVE, a5=ALIVE))
+    assert bench.closed == [(SWARM, Outcome.RESOLVED, ITSELF)]
+
+
+def test_an_agent_that_is_never_received_again_ends_the_fault_after_a_time() -> None:
+    """It is forgotten: the faults of others end by themselves."""
+    bench = restarted_without(3)
+    bench.see(SWARM, received(a2=ALIVE))
+    bench.later(UNOBSERVED_S)
+    bench.see(SWARM, received(a2=ALIVE))
+    assert (bench.level(SWARM), bench.closed) == (Level.OK, [(SWARM, Outcome.RESOLVED, TIMEOUT)])
+    for second in (LOST, ALIVE):
+        bench.later(1)
+        bench.see(SWARM, received(a2=second, a4=ALIVE))
+    assert bench.closed[1:] == [(SWARM, Outcome.RESOLVED, ITSELF)]
+
+
+def test_a_list_of_agents_that_was_added_ends_the_fault() -> None:
+    """`swarm.agents` is set before the restart: each agent has its own unit, and one that is not listed is ignored."""
+    bench = restarted_without(3)
+    bench.see(SWARM, received(2, 4, a2=ALIVE))
+    assert bench.closed == [(SWARM, Outcome.RESOLVED, ITSELF)]
+
+
+def test_only_some_of_many_agents_are_named() -> None:
+    missing = as_unobserved(OK, [f"A{agent:02d}" for agent in range(1, 11)])
+    assert missing.summary.startswith("A01 A02 A03 A04 A05 A06 A07 A08 +2 not observed since")

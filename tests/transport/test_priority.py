@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given, strategies as st
 
@@ -65,11 +67,13 @@ def test_nothing_is_lost_unless_a_newer_one_replaced_it(put: list[QueuedMessage]
     replacement is counted.
     """
     budget = LinkBudget(None, 0.0)
+    put = [replace(item, put_at=float(number)) for number, item in enumerate(put)]
     for item in put:
         budget.put(item)
-    newest = {item.key: item for item in put}
+    newest = {item.key: item.put_at for item in put}
     left = taken(budget, 0.0)
-    assert {item.key: item for item in left} == newest
+    assert {item.key: item.put_at for item in left} == newest
+    assert {item.key: item.kind for item in left} == {key: min(i.kind for i in put if i.key == key) for key in newest}
     for kinds in ({MessagePriority.TRANSITION, MessagePriority.STATE}, ROUTINE, {MessagePriority.REQUEST}):
         order = [(item.kind, item.urgency) for item in left if item.kind in kinds]
         assert order == sorted(order)
@@ -112,6 +116,42 @@ def test_an_answer_is_sent_before_a_refresh_that_waits() -> None:
     budget.put(QueuedMessage("ack", MessagePriority.REQUEST, 35, None))
     budget.put(QueuedMessage("reply", MessagePriority.REQUEST, 80, None, 2))
     assert [item.key for item in taken(budget, 0.0)] == ["ack", "reply"]
+
+
+def test_answers_to_unsigned_senders_do_not_delay_one_to_a_signed_sender() -> None:
+    """They may use as much as routine messages, and do not count as answers."""
+    budget = LinkBudget(10.0, 0.0)
+    for number in range(40):
+        budget.put(QueuedMessage(f"unsigned {number}", MessagePriority.REQUEST, 35, None, UNSIGNED_LAST))
+    for now in (0.0, 60.0):
+        assert len(taken(budget, now)) == (BURST_MIN - ROUTINE_ROOM) // 35
+    budget.put(QueuedMessage("refresh", MessagePriority.REFRESH, 60, None, 6))
+    budget.put(QueuedMessage("ack", MessagePriority.REQUEST, 35, None))
+    assert [item.key for item in taken(budget, 60.0)] == ["ack"]
+    assert taken(budget, 70.0)[0].key == "refresh"
+
+
+def test_a_message_is_as_important_as_the_one_that_it_replaces() -> None:
+    """A fault that waits for credit is not sent later because its text has changed."""
+    budget = LinkBudget(10.0, 0.0)
+    budget.put(QueuedMessage("first", MessagePriority.TRANSITION, int(BURST_MIN), None))
+    assert taken(budget, 0.0)
+    budget.put(QueuedMessage("node_1", MessagePriority.TRANSITION, 40, None, 2))
+    budget.put(QueuedMessage("disk", MessagePriority.TRANSITION, 40, None, 3))
+    budget.put(QueuedMessage("node_1", MessagePriority.REFRESH, 45, None, 6))
+    assert [(item.key, item.size) for item in taken(budget, 4.5)] == [("node_1", 45)]
+
+
+def test_messages_that_are_replaced_all_the_time_take_turns() -> None:
+    """Of equals the one whose key has waited longest is sent, however often each is replaced."""
+    budget = LinkBudget(1.0, 0.0)
+    left = []
+    for second in range(3600):
+        budget.put(QueuedMessage("text", MessagePriority.REFRESH, 70, None, 6))
+        if second % 50 == 0:
+            budget.put(QueuedMessage("refresh", MessagePriority.REFRESH, 70, None, 6))
+        left += [item.key for item in taken(budget, float(second))]
+    assert min(left.count("text"), left.count("refresh")) > len(left) / 4
 
 
 def test_many_commands_do_not_stop_views_and_refreshes() -> None:
@@ -183,9 +223,9 @@ def test_an_unsent_message_returns_to_the_front() -> None:
     budget.give_back(first)
     assert [item.key for item in taken(budget, 0.0)] == ["a", "b"]
     assert budget.counts[MessagePriority.TRANSITION].sent == 2
-    budget.put(QueuedMessage("a", MessagePriority.TRANSITION, 45, None))
+    budget.put(QueuedMessage("a", MessagePriority.REFRESH, 45, None))
     budget.give_back(first)
-    assert [item.size for item in taken(budget, 0.0)] == [45]
+    assert [(item.size, item.kind) for item in taken(budget, 0.0)] == [(45, MessagePriority.TRANSITION)]
 
 
 def test_outdated_messages_are_dropped() -> None:

@@ -53,16 +53,22 @@ def counting(sources: Mapping[str, DiagnosticSource]) -> tuple[str, ...]:
 
 
 def _replaced(sources: Mapping[str, DiagnosticSource]) -> set[str]:
-    """Sources that a new process has replaced: it began after their last message. Each replaces only one, so that of two sources the
-    silence of one remains when the other is restarted. One that is received again overlaps, and counts again."""
+    """Sources that a new process has replaced: it began after their last message, or with it in one update, and continues. Each
+    replaces only one, so that of two sources the silence of one remains when the other is restarted. One that is received again
+    overlaps, and counts again."""
     replaced: set[str] = set()
     for new in sorted(sources.values(), key=lambda one: one.first_s):
-        before = [key for key, old in sources.items() if old.last_s < new.first_s and key not in replaced]
+        before = [key for key, old in sources.items() if _ended(old, new) and key not in replaced]
         if before:
             replaced.add(
                 max(before, key=lambda key: (sources[key].hardware_id == new.hardware_id, sources[key].last_s))
             )
     return replaced
+
+
+def _ended(old: DiagnosticSource, new: DiagnosticSource) -> bool:
+    """Whether the older source ended before the new one began. The statuses of one update have the same time of reception."""
+    return old.last_s <= new.first_s and old.last_s < new.last_s
 
 
 def _passing(source: DiagnosticSource, now_s: float) -> bool:

@@ -125,6 +125,9 @@ def _restart_dependent(entry: ContainerSettings, before: str, context: ActionCon
         return f"{key}, which depends on it, does not exist"
     if words := context.on_hold(key):
         return f"{key}, which depends on it, is {words}: restart it manually"
+    if fact.status == "created" and not fact.error:
+        # Who created it may wait for the health of others before starting it. Later its own fault has it started.
+        return f"{key}, which depends on it, has not been started yet"
     if fact.running and before and fact.generation != before:
         return f"{key}, which depends on it, was started after it already"
     restart_gracefully(fact, context)

@@ -6,6 +6,7 @@ ages are differences of UTC, never negative. `phm.recovery.persistence.state_fil
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -260,8 +261,13 @@ def _fault(fault: Fault) -> dict[str, Any]:
             "never_ok": result.evidence.never_ok,
             "file": result.evidence.file[:MAX_TEXT],
             "listed": result.evidence.listed,
+            "subjects": _subjects(result.evidence.subjects),
         },
     }
+
+
+def _subjects(names: Sequence[str] | None) -> tuple[str, ...] | None:
+    return None if names is None else tuple(str(name)[:MAX_TEXT] for name in names[:MAX_FAULTS])
 
 
 def _read_fault(body: Any, opened: Stamp) -> Fault:
@@ -291,5 +297,6 @@ def _read_result(body: Any) -> Result:
         never_ok=never_ok if isinstance(never_ok, bool) else None,
         listed=int(listed) if listed is not None else None,
         file=str(body.get("file", ""))[:MAX_TEXT],
+        subjects=_subjects(body.get("subjects")),
     )
     return Result(Level.ERROR, summary, brief, condition, target, evidence=known)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+import pytest
+
 from phm import api, testing
 from phm.api import Layer, Slot
 from phm.core.model import FaultOpened, Stamp
@@ -26,6 +28,14 @@ class Domain:
     reports: SelfReports = field(
         default_factory=lambda: SelfReports(configured=ConfiguredNames(statuses=("camera: *",)))
     )
+
+    def receive_together(self, *sources: tuple[bytes, str]) -> None:
+        """In one update: (publisher, hardware id) of each."""
+        self.now_s += 1.0
+        facts = {
+            key_of(NAME, ident, writer): DiagnosticFact(0.0, 0, writer.decode(), ident) for writer, ident in sources
+        }
+        self.reports = self.reports.with_update(SelfReportUpdate(diagnostics=facts), self.now_s)
 
     def receive(self, writer: bytes, level: int = 0, hardware_id: str = "none", name: str = NAME) -> None:
         fact = DiagnosticFact(0.0, level, writer.decode(), hardware_id)
@@ -84,6 +94,35 @@ def test_a_publisher_that_sets_its_hardware_id_later_leaves_nothing() -> None:
         domain.now_s += 1.0
         domain.receive(LEFT, hardware_id="cam-07")
     assert domain.found() == {"left": 0} and NAME not in domain.reports.same_named(domain.now_s)
+
+
+@pytest.mark.parametrize(("writer", "hardware_id"), [(NEW, "none"), (LEFT, "cam-07")])
+def test_a_publisher_that_is_replaced_within_one_update_leaves_nothing(writer: bytes, hardware_id: str) -> None:
+    """Its last status and the first one of the new source are received together."""
+    domain = Domain()
+    domain.run(10, left=0)
+    domain.receive_together((LEFT, "none"), (writer, hardware_id))
+    assert len(domain.reports.same_named(domain.now_s)[NAME]) == 2
+    for _ in range(10):
+        domain.now_s += 1.0
+        domain.receive(writer, hardware_id=hardware_id)
+    assert domain.found() == {writer.decode(): 0} and NAME not in domain.reports.same_named(domain.now_s)
+
+
+def test_publishers_that_are_first_received_together_all_count() -> None:
+    """A new one that begins in the same update as a message of a living one replaces only the one that was silent."""
+    domain = Domain()
+    domain.receive_together((LEFT, "none"), (RIGHT, "none"))
+    assert domain.found() == {"left": 0, "right": 0}
+    domain.run(10, left=0, right=0)
+    assert domain.found() == {"left": 0, "right": 0}
+    domain.run(10, right=0)
+    assert domain.found() == {"left": 3, "right": 0}
+    domain.receive_together((RIGHT, "none"), (NEW, "none"))
+    domain.run(10, right=0, new=0)
+    assert domain.found() == {"right": 0, "new": 0}
+    domain.run(10, new=0)
+    assert domain.found() == {"right": 3, "new": 0}
 
 
 def test_a_single_message_of_another_publisher_leaves_nothing() -> None:

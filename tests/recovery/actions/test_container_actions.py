@@ -134,6 +134,22 @@ def test_a_dependent_that_was_started_later_is_left_alone(fake: FakeEngine, ask:
     assert acted_on(fake, "restart") == ["app", "side", "late"]
 
 
+@pytest.mark.parametrize("action", [Start, Restart])
+def test_a_dependent_that_was_only_created_is_left_alone(
+    fake: FakeEngine, ask: DockerEngine, action: type[Action]
+) -> None:
+    """`docker compose up` starts it when what it waits for is healthy. A start that failed, an error of the engine, is repeated."""
+    made = stack(fake, ask)
+    for name in ("late", "side"):
+        fake.set(name, status="created")
+    fake.containers["side"]["State"]["Error"] = "its network was not there"
+    if action is Start:
+        fake.set("app", status="exited", exit_code=1)
+    words = made.run(action, "app", EXITED)
+    assert acted_on(fake, "start", "restart") == ["app", "side"]
+    assert "late, which depends on it, has not been started yet" in words
+
+
 def test_dependents_are_determined_from_an_answer_after_the_action(fake: FakeEngine, ask: DockerEngine) -> None:
     """An answer from before the start, however recent, does not show which containers run after it."""
     made = stack(fake, ask)

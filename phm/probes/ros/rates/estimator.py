@@ -271,7 +271,9 @@ class RateEstimator:
     def _fact(self, now_s: float, listening: Listening, silent: bool) -> RateFact:
         problem = listening.problem or ("" if silent else self._ambiguous(now_s, listening.publishers))
         hz, window_s = self._hz(), self.span_s
-        if hz is None and self._held is not None:
+        if hz is not None:
+            self._held = None  # it would be an old one when this rate ends
+        elif self._held is not None:
             hz, window_s = self._held
         if problem:
             hz = None

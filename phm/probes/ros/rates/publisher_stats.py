@@ -131,11 +131,12 @@ class PublisherStats:
 
     def missing_s(self, sample: Sample, expected_hz: float) -> float:
         """For how long nothing was published since the newest sample, by its rate, or by `expected_hz` if it has none; 0.0 if
-        jitter explains it."""
-        if not self._kept or self.last is None or self.last.sequence is None or sample.sequence is None:
+        jitter explains it, or without either rate."""
+        hz = self.hz or expected_hz
+        if not hz or not self._kept or self.last is None or self.last.sequence is None or sample.sequence is None:
             return 0.0
         count, seconds = sample.sequence - self.last.sequence, (sample.source_ns - self.last.source_ns) / 1e9
-        late_s = seconds - count / (self.hz or expected_hz)
+        late_s = seconds - count / hz
         explained_s = max(MISSING * seconds, JITTERS * (self.jitter_s or 0.0))
         return late_s if count > 0 and late_s > explained_s else 0.0
 

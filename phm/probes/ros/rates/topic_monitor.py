@@ -182,7 +182,9 @@ class TopicMonitor:
             self._reader = Reader(self._node, self._name, self._type, qos, keep=self._data is not None)
         except UnknownType as error:
             self._unknown = str(error)
-        self._resumed, self._within = self._large and not self._counted, self._counted
+        # Without an expected rate the measured one is not compared with anything, so a wrong one does no harm.
+        self._resumed = self._large and not self._counted and bool(self._expected_hz)
+        self._within = self._counted
         if self._counted:
             self._estimator.hold()
 

@@ -8,6 +8,7 @@ import pytest
 
 from phm.facts.ros import RateFact
 from phm.probes.ros.rates.estimator import STALL_S, Listening, RateEstimator
+from phm.probes.ros.rates.publisher_stats import Sample
 from tests.fakes.ros_flow import TICK_S, even, feed, polls, quiet
 
 TWO = Listening(publishers=2, several=True)
@@ -292,6 +293,13 @@ def test_a_large_topic_is_measured_across_its_windows() -> None:
     assert quiet(meter, 130.0, 60.0, closed).hz == pytest.approx(30.0, rel=1e-3)
     assert fact.limit_s == 3.0 + 2.0
     assert quiet(meter, 190.0, 3.5, Listening(closed_s=2.0)).hz == 0.0
+
+
+def test_nothing_is_missing_without_a_rate_to_compare_with() -> None:
+    """Neither measured yet nor expected."""
+    meter = RateEstimator(0.0, 3.0)
+    feed(meter, even(20.0, 100.0, 0.5), 100.0, 100.5)
+    assert meter.missing_s([Sample(11, int(103.0 * 1e9), 103.0)], Listening()) == 0.0
 
 
 def test_a_counted_topic_keeps_its_rate_between_windows() -> None:

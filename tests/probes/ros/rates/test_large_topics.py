@@ -20,13 +20,22 @@ EXPECTED_HZ = 30.0
 
 class Camera:
     """A publisher of 6 MB/s. others: whether anyone but PHM subscribes. lazy: it publishes only while anyone does. stalls: it
-    publishes nothing for half of the time in which PHM does not subscribe."""
+    publishes nothing for half of the time in which PHM does not subscribe. uneven: its periods differ by up to this share.
+    keeps: each new subscription receives its last message."""
 
-    def __init__(self, name: str, *, lazy: bool, hz: float = EXPECTED_HZ) -> None:
+    def __init__(
+        self, name: str, *, lazy: bool, hz: float = EXPECTED_HZ, uneven: float = 0.0, keeps: bool = False, seed: int = 0
+    ) -> None:
         self.name, self.lazy, self.hz, self.others = name, lazy, hz, False
+        self.uneven, self.keeps = uneven, keeps
         self.stalls = False
         self.sent: list[tuple[float, int]] = []
         self._due_s, self._count = 100.0, 0
+        self._random = random.Random(seed)
+
+    def restart(self) -> None:
+        """Its sequence numbers begin again."""
+        self._count = 0
 
     def run(self, now_s: float, subscribed_from_s: float | None) -> None:
         while self._due_s <= now_s:
@@ -35,13 +44,22 @@ class Camera:
             if not stalled and (not self.lazy or self.others or subscribed):
                 self._count += 1
                 self.sent.append((self._due_s, self._count))
-            self._due_s += 1 / self.hz
+            self._due_s += (1 + self._random.uniform(-self.uneven, self.uneven)) / self.hz
+
+    def since(self, at_s: float, *, kept: bool) -> list[tuple[float, int]]:
+        """What it published after this time. kept: and the last message before it."""
+        recent = self.sent[-100:]
+        first = next((index for index, (sent_s, _) in enumerate(recent) if sent_s > at_s), len(recent))
+        return recent[max(0, first - 1) if kept else first :]
 
 
 class Bench:
-    """The monitor of the topic of these cameras. named: the middleware names the publisher of each sample."""
+    """The monitor of the topic of these cameras. named: the middleware names the publisher of each sample. rated: whether a rate is
+    expected, that of the cameras."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, *cameras: Camera, named: bool = False) -> None:
+    def __init__(
+        self, monkeypatch: pytest.MonkeyPatch, *cameras: Camera, named: bool = False, rated: bool = True
+    ) -> None:
         self.now_s = 100.0
         self.cameras = cameras
         self.open_from_s: float | None = None
@@ -53,13 +71,15 @@ class Bench:
                 self.qos, self.matched, self.messages = qos, None, ()
                 self._taken_s = bench.open_from_s = bench.now_s
                 self._size = int(6e6 / min(camera.hz for camera in bench.cameras))
+                self._new = qos.latched
 
             def take(self, now_s: float) -> list[Sample]:
+                since_s = max(self._taken_s, (bench.open_from_s or 0.0) + MATCH_S)
+                kept, self._new = self._new, False
                 queue = sorted(
                     (at_s, number, camera.name)
                     for camera in bench.cameras
-                    for at_s, number in camera.sent[-100:]
-                    if at_s > max(self._taken_s, (bench.open_from_s or 0.0) + MATCH_S)
+                    for at_s, number in camera.since(since_s, kept=kept and camera.keeps)
                 )
                 self._taken_s = now_s
                 return [
@@ -71,7 +91,8 @@ class Bench:
                 bench.open_from_s = None
 
         monkeypatch.setattr(topic_monitor, "Reader", CameraReader)
-        self.monitor = TopicMonitor(None, WantedTopic("/a/image", sum(camera.hz for camera in cameras)))
+        expected_hz = sum(camera.hz for camera in cameras) if rated else 0.0
+        self.monitor = TopicMonitor(None, WantedTopic("/a/image", expected_hz))
 
     def run(self, seconds: float) -> list[RateFact]:
         facts = []
@@ -79,10 +100,15 @@ class Bench:
             self.now_s += TICK_S
             for camera in self.cameras:
                 camera.run(self.now_s, self.open_from_s)
-            ends = tuple(EndpointFact(camera.name, "sensor_msgs/msg/Image") for camera in self.cameras)
+            ends = tuple(map(end, self.cameras))
             facts.append(self.monitor.poll(self.now_s, ends))
             self.open_ticks += self.open_from_s is not None
         return facts
+
+
+def end(camera: Camera) -> EndpointFact:
+    durability = "transient_local" if camera.keeps else "volatile"
+    return EndpointFact(camera.name, "sensor_msgs/msg/Image", "reliable", durability)
 
 
 def all_right(facts: list[RateFact], hz: float) -> bool:
@@ -110,6 +136,46 @@ def test_the_end_of_the_last_other_subscription_is_not_a_low_rate(monkeypatch: p
         camera.others = False
         facts += bench.run(13.25)
         assert all_right(facts, EXPECTED_HZ)
+
+
+@pytest.mark.parametrize("phase", range(12))
+def test_a_restarted_publisher_without_an_expected_rate_is_received(
+    monkeypatch: pytest.MonkeyPatch, phase: int
+) -> None:
+    """E.g. a topic of `ready`: after the restart there is neither a measured nor an expected rate to compare a pause with."""
+    camera = Camera("/a/camera", lazy=True)
+    bench = Bench(monkeypatch, camera, rated=False)
+    bench.run(30.0 + phase * TICK_S)
+    camera.restart()
+    assert_received(bench.run(30.0))
+
+
+@pytest.mark.parametrize(("hz", "uneven"), [(1.0, 0.3), (0.5, 0.1), (1.0, 0.6), (5.0, 0.5)])
+@pytest.mark.parametrize("keeps", [True, False])
+def test_an_uneven_topic_without_an_expected_rate_is_received(
+    monkeypatch: pytest.MonkeyPatch, hz: float, uneven: float, *, keeps: bool
+) -> None:
+    """Such as a latched map, whose last message each new subscription receives again."""
+    for seed in range(4):
+        camera = Camera("/a/slam", lazy=False, hz=hz, uneven=uneven, keeps=keeps, seed=seed)
+        assert_received(Bench(monkeypatch, camera, rated=False).run(150.0)[12:])
+
+
+def assert_received(facts: list[RateFact]) -> None:
+    """It is received again after each pause, with at most two periods of a slow one."""
+    assert all(fact.silent_s is not None and fact.silent_s < 7.0 and not fact.problem for fact in facts)
+    assert facts[-1].samples > facts[0].samples
+
+
+def test_a_restarted_publisher_does_not_get_a_rate_from_long_ago(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The rate that was kept while another one was measured."""
+    camera = Camera("/a/camera", lazy=True)
+    bench = Bench(monkeypatch, camera)
+    bench.run(30.0)
+    camera.others, camera.hz = True, EXPECTED_HZ / 2
+    facts = bench.run(60.0)[-4:]
+    camera.restart()
+    assert all_right(facts + bench.run(10.0), EXPECTED_HZ / 2)
 
 
 def test_a_rate_that_really_falls_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
