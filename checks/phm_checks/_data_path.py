@@ -61,19 +61,22 @@ class DataPath:
         """Duration of the last silence of all nodes that ended by itself, and when it ended."""
         self._blocked_generation = ""
         """The container generation in which the path was last blocked; cleared when data is received in another generation."""
+        self._blocked = False
+        """Whether the path was blocked at the last look."""
         self.never_received = False
         """For the last non-empty result of `why`: whether nothing was ever received in this container generation."""
 
     def why(self, world: api.World, generation: str) -> str:
         """The evidence as text; empty while anything is received, or if the state is unknown. generation: the container's current one."""
         why = self._why(world, generation)
+        self._blocked = bool(why)
         if why:
             self._blocked_generation = generation
         return why
 
     def interrupted(self) -> None:
-        """The container is paused or has ended: the silence of that time says nothing about the path, unless it was blocked before."""
-        if self._blocked_generation != self._generation:
+        """The container is paused or has ended: the silence of that time says nothing about the path, unless it was blocked just before."""
+        if not self._blocked:
             self._generation = ""
 
     def waiting(self, world: api.World, generation: str) -> bool:

@@ -5,7 +5,7 @@ neither failed nor recovered for CALM_S; then its state is reported again. A fai
 Nothing is hidden meanwhile: the status word and the refresh show each change, and the log has all of them.
 
 Changed texts of a failure that lasts do not count. After MANY of them the newest is sent every CALM_S, as a refresh: as changes,
-the texts of one unit would use up the budget of an agent of a large swarm.
+the texts of one unit would use up the budget of an agent of a large swarm. A text after RARE_S without one is a change again.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from phm.wire.status_line import Severity
 MANY, WITHIN_S = 6, 60.0
 """Three failures and three recoveries within a minute."""
 CALM_S = 30.0
+RARE_S = 600.0
 MAX_UNITS = 1000
 
 
@@ -30,7 +31,8 @@ class _Unit:
     texts: TokenBucket
     """How many changed texts of the same state may be sent now."""
     texts_sent: int = 0
-    """Changed texts since the last failure or recovery."""
+    """Changed texts since the last failure or recovery, or since there was none for RARE_S."""
+    text_at: float = float("-inf")
     changes: deque[tuple[float, Severity]] = field(default_factory=lambda: deque(maxlen=MANY))
     severity: Severity | None = None
     """Of the newest line, also if that was suppressed."""
@@ -53,6 +55,11 @@ class FlapDamper:
         """The lines to send now. flapping: the text of the line that is sent when suppression of a unit begins."""
         return [passed for line in lines if (passed := self._pass(line, now, flapping)) is not None]
 
+    def begin_failure(self, key: str) -> None:
+        """The next line about this unit is of a new fault, whatever its severity. The end of the one before may have had no line."""
+        if (unit := self._units.get(key)) is not None:
+            unit.severity = None
+
     def settled(
         self, now: float, still_true: Callable[[StatusTextLine], bool] = lambda line: True
     ) -> list[StatusTextLine]:
@@ -71,7 +78,7 @@ class FlapDamper:
             if stable:
                 passed.append(unit.held)
             elif _may_send_text(unit, now):
-                passed.append(_text(unit, unit.held))
+                passed.append(_text(unit, unit.held, now))
             else:
                 continue
             unit.held = None
@@ -94,7 +101,7 @@ class FlapDamper:
             unit.worst = min(severity for _, severity in unit.changes)
             return StatusTextLine(line.key, Severity.WARNING, flapping)
         unit.held, unit.worst = None, line.severity
-        return line if changed else _text(unit, line)
+        return line if changed else _text(unit, line, now)
 
     def _unit(self, key: str, now: float) -> _Unit:
         unit = self._units.pop(key, None) or _Unit(TokenBucket(MANY, now))
@@ -114,9 +121,10 @@ def _flaps(unit: _Unit, now: float) -> bool:
     return len(unit.changes) == MANY and now - unit.changes[0][0] <= WITHIN_S
 
 
-def _text(unit: _Unit, line: StatusTextLine) -> StatusTextLine:
+def _text(unit: _Unit, line: StatusTextLine, now: float) -> StatusTextLine:
     """A changed text to send now."""
-    unit.texts_sent += 1
+    unit.texts_sent = 1 if now - unit.text_at >= RARE_S else unit.texts_sent + 1
+    unit.text_at = now
     return line if unit.texts_sent <= MANY else replace(line, kind=MessagePriority.REFRESH)
 
 

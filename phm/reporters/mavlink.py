@@ -77,6 +77,8 @@ class MavlinkReporter(Reporter):
             self._change(self._builder.transition(event), event.state.slot, status_line.brief_of(event.state))
         elif isinstance(event, (FaultOpened, FaultClosed)):
             fault = event.fault
+            if isinstance(event, FaultOpened):
+                self._damper.begin_failure(fault.unit)
             self._change(self._builder.fault(event), fault.slot, fault.result.brief or fault.unit)
         elif isinstance(event, ActionEvent):
             self._say(self._builder.action(event, {state.unit: state for state in self._context.states()}))

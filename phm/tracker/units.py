@@ -181,6 +181,9 @@ class UnitRecord:
     def update_condition(self, result: Result) -> None:
         """The problem has changed: update the fault that is open or was given up."""
         self.conditions.add(result.condition)
+        if self.restored_subjects:  # the next PHM must know of these, too
+            subjects = tuple(sorted(self.restored_subjects.union(result.evidence.subjects or ())))
+            result = result.with_evidence(replace(result.evidence, subjects=subjects))
         if self.fault is not None:
             self.fault = replace(self.fault, result=result)
         elif self.given_up is not None:

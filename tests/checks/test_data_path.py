@@ -364,9 +364,14 @@ def test_nodes_that_are_neither_listed_nor_received_are_one_fault(path: DataPath
     assert "is connected and responds, but none of its 2 nodes is listed" in result.summary
 
 
-@pytest.mark.parametrize("listed", [False, True])
-def test_a_pause_of_the_container_is_not_a_silence_of_its_nodes(path: DataPath, listed: bool) -> None:
+@pytest.mark.parametrize(("listed", "blocked_before"), [(False, False), (True, False), (True, True)])
+def test_a_pause_of_the_container_is_not_a_silence_of_its_nodes(
+    path: DataPath, listed: bool, blocked_before: bool
+) -> None:
     """Seen after a `docker pause` of 15 s: nodes are listed and received again some seconds after the unpause."""
+    if blocked_before:
+        assert path.later(10.0, 4.0, 4.4).condition == "transport_blocked"
+        assert path.later(60.0, 0.1, 0.2).level is api.Level.OK
     running = path.docker.containers["ros_app"]
     path.docker.containers["ros_app"] = replace(running, status="paused")
     assert path.later(10.0, 0.1, 0.1).level is api.Level.STALE

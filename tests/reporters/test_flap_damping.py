@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
-from phm.core.model import Level
-from phm.reporters.flap_damping import CALM_S, MANY, FlapDamper
+from phm.core.model import ON_HOLD, Level, Result, Transition
+from phm.reporters.flap_damping import CALM_S, MANY, RARE_S, FlapDamper
 from phm.reporters.statustext import StatusTextLine
 from phm.transport.priority import MessagePriority
 from phm.wire.status_line import Severity
@@ -74,6 +75,36 @@ def test_after_many_texts_of_a_failure_the_next_are_sent_as_refreshes() -> None:
         assert sent.kind is MessagePriority.TRANSITION
     (sent,) = damper.filter([line(WARN, "another text")], now + 201.0, FLAPPING)
     assert sent.kind is MessagePriority.TRANSITION
+
+
+def test_texts_that_change_rarely_are_changes() -> None:
+    """The text may be another problem of the unit."""
+    damper = FlapDamper()
+    kinds = [
+        one.kind
+        for number in range(2 * MANY)
+        for one in damper.filter([line(FAIL, f"text {number}")], number * RARE_S, FLAPPING)
+    ]
+    assert kinds == [MessagePriority.TRANSITION] * 2 * MANY
+
+
+def test_a_new_fault_is_a_change_although_the_end_of_the_last_one_had_no_line() -> None:
+    """The unit recovered during a hold."""
+    scene = Scene(refresh=600).running()
+    for number in range(MANY + 2):
+        scene.become("host", Level.ERROR, f"text {number}")
+        scene.pass_time(CALM_S)
+    failed = scene.units["host"]
+    scene.units["host"] = replace(failed, level=Level.STALE, result=Result(Level.STALE, "", "on hold", ON_HOLD))
+    scene.reporter.handle(Transition(scene.clock.stamp(), failed.level, scene.units["host"]))
+    scene.become("host", Level.OK)
+    scene.pass_time(RARE_S / 2)
+    kinds: list[MessagePriority] = []
+    scene.port.to = lambda message, kind, key, urgency: kinds.append(kind)
+    scene.port.sent.clear()
+    scene.become("host", Level.ERROR, "new")
+    assert [text for _, text in scene.port.lines()] == ["A01 FAIL 9 new"]
+    assert kinds == [MessagePriority.TRANSITION]
 
 
 def test_a_text_that_was_held_back_is_sent_as_a_refresh() -> None:

@@ -136,6 +136,20 @@ def test_another_loss_after_the_restart_does_not_end_it_either() -> None:
         bench.later(1)
 
 
+def test_a_second_restart_does_not_forget_the_first_loss() -> None:
+    """Another agent was lost, and returned, in between."""
+    bench = restarted_without(3)
+    for second in (LOST, ALIVE):
+        bench.see(SWARM, received(a2=second, a4=ALIVE))
+        bench.later(1)
+    after = next_run(bench)
+    after.see(SWARM, received(a2=ALIVE, a4=ALIVE))
+    assert (after.level(SWARM), after.closed) == (Level.STALE, [])
+    after.later(1)
+    after.see(SWARM, received(a2=ALIVE, a3=ALIVE, a4=ALIVE))
+    assert after.closed == [(SWARM, Outcome.RESOLVED, ITSELF)]
+
+
 def test_each_lost_agent_must_be_received() -> None:
     bench = restarted_without(3, 4, 5)
     bench.see(SWARM, received(a2=ALIVE, a3=ALIVE, a5=ALIVE))
