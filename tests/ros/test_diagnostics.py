@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from phm.facts import DiagnosticFact, RosFact
+from phm.probes.ros.diagnostic_sources import STEADY_S
 from phm.probes.ros.diagnostics import MAX_TEXT, MAX_VALUES, portions
 from phm.probes.ros.protocol import LINE_LIMIT, SelfReportUpdate, encode
 from phm.probes.ros.self_reports import MAX_NAMES, ConfiguredNames, SelfReports
@@ -90,7 +91,10 @@ def test_two_nodes_with_one_status_name_are_both_received(bench: Bench) -> None:
         found = fact.diagnostic_sources.get(FREQUENCY, ())
         return {status.message: status.level for status in found} == {"left": 2, "right": 0} and fact
 
-    seen(probe, both, "both")
+    since_s = seen(probe, both, "both").up_s
+    seen(
+        probe, lambda fact: both(fact) and fact.up_s > since_s + STEADY_S + 1.0, "both for longer than a single message"
+    )
     left.process.kill()
     seen(probe, lambda fact: both(fact) and max(f.age_s for f in fact.diagnostic_sources[FREQUENCY]) > 2.0, "silence")
 
