@@ -265,6 +265,6 @@ def test_a_dead_autopilot_is_reported_by_phm_and_by_the_link(vehicle: Vehicle, p
     console = proxy(f"--master=tcp:127.0.0.1:{vehicle.direct}", f"--target-system={SYSTEM}")
     console.wait_for("Mode LOITER")
     console.wait_for(f"Detected vehicle {SYSTEM}:{COMPONENT}")
-    vehicle.pilot.hung = True
+    vehicle.hang_autopilot()
     console.wait_for("AP: A07 FAIL 10 autopilot: no heartbeat")
     console.wait_for("link 1 down")

@@ -105,7 +105,7 @@ def test_a_dead_autopilot_is_reported_by_phm_only(vehicle: Vehicle, ends: Ends, 
     both = url(vehicle), f"tcpout://127.0.0.1:{vehicle.direct}"
     watcher = ends(Watcher("mavsdk_watch.py", tmp_path / "mavsdk", *both))
     watcher.wait_news("ready")
-    vehicle.pilot.hung = True
+    vehicle.hang_autopilot()
     until(
         lambda: received(watcher, "ERROR", "A07 FAIL 10 autopilot: no heartbeat"),
         "the line",

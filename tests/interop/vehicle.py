@@ -9,10 +9,12 @@ from pathlib import Path
 from phm.core.model import worst_by_slot
 from phm.runtime.wiring import build_daemon
 from phm.simulation.autopilot import SimulatedAutopilot
+from phm.simulation.autopilot_model import AUTOPILOT
 from phm.testing import settings
 from phm.wire import status_word
 from tests.fakes.engine import FakeEngine, container
 from tests.fakes.mavlink import free_port
+from tests.fakes.until import until
 
 SYSTEM, COMPONENT = 7, 193
 FAIL = "A07 FAIL 2 ros_app exited"
@@ -79,6 +81,11 @@ class Vehicle:
 
     def repair_container(self) -> None:
         self.engine.set("ros_app", status="running")
+
+    def hang_autopilot(self) -> None:
+        """From now on the autopilot sends nothing. Not before PHM has received it: without `autopilot: true` PHM expects none."""
+        until(lambda: (SYSTEM, AUTOPILOT) in self.senders(), "PHM to receive the autopilot")
+        self.pilot.hung = True
 
     def senders(self) -> set[tuple[int, int]]:
         """System and component of every sender that PHM receives."""
