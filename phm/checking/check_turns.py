@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -115,22 +116,19 @@ class CheckTurns:
 
     def _evaluate(self) -> dict[str, Result]:
         try:
-            answer: Any = self.scheduled.check.run(self._world)
-            answers = answer if isinstance(answer, Mapping) else self._all(answer)
-            return {unit: checked(answers.get(unit, _MISSING)) for unit in self.units}
-        except CannotTell as error:
-            return self._all(stale(_text(error)))
+            return self._results()
         except BaseException as error:  # a plug-in may raise anything, SystemExit included: PHM goes on
             logger.exception("check %s crashed", self.units[0])
-            return self._all(stale(f"the check crashed: {type(error).__name__}: {_text(error)}"))
+            words = "".join(traceback.format_exception_only(error)).strip()  # also for one whose text cannot be made
+            return self._all(stale(f"the check crashed: {words}"))
+
+    def _results(self) -> dict[str, Result]:
+        try:
+            answer: Any = self.scheduled.check.run(self._world)
+        except CannotTell as error:
+            return self._all(stale(str(error)))
+        answers = answer if isinstance(answer, Mapping) else self._all(answer)
+        return {unit: checked(answers.get(unit, _MISSING)) for unit in self.units}
 
     def _all(self, result: Any) -> dict[str, Any]:
         return dict.fromkeys(self.units, result)
-
-
-def _text(error: BaseException) -> str:
-    """Its text; an exception of a plug-in may have none that can be made."""
-    try:
-        return str(error)
-    except BaseException:
-        return "an error without a text"

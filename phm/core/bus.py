@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import threading
+import traceback
 from collections.abc import Callable, Hashable
 
 from phm.core import threads
@@ -93,17 +94,10 @@ class Subscription:
             BaseException
         ) as error:  # a reporter may be a plug-in that raises anything, SystemExit included: others go on
             self.errors += 1
-            self.last_error, self.failed_at = f"{self.name}: {type(error).__name__}{_text(error)}", self._clock.mono()
+            words = "".join(traceback.format_exception_only(error)).strip()  # also for one whose text cannot be made
+            self.last_error, self.failed_at = f"{self.name}: {words}", self._clock.mono()
             if self.errors in (1, 10, 100) or self.errors % 1000 == 0:
                 logger.exception("subscriber %s failed (%d times)", self.name, self.errors)
-
-
-def _text(error: BaseException) -> str:
-    """`: ` and its text; an exception of a plug-in may have none that can be made."""
-    try:
-        return f": {error}"
-    except BaseException:
-        return ""
 
 
 class Bus:

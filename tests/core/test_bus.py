@@ -104,7 +104,7 @@ def test_nothing_that_a_subscriber_raises_ends_its_thread(error: BaseException) 
     bus.publish(note("b"))
     bus.close(LIMIT_S)
     assert len(seen) == 2
-    assert bus.problems()[0].startswith(f"bad: {type(error).__name__}")
+    assert type(error).__name__ in bus.problems()[0]
 
 
 def test_ticks_come_every_period_without_events() -> None:

@@ -123,38 +123,24 @@ def test_udp_sends_to_the_ipv4_address(named: list[str], order: list[str]) -> No
             assert ground.recv(100) == b"hello"
 
 
-def test_udp_sends_to_an_ipv6_address_that_is_the_only_one(named: list[str]) -> None:
-    """Then there is nothing to choose."""
-    named[:] = [V6]
-    with socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as ground:
-        try:
-            ground.bind((V6, 0))
-        except OSError:
-            pytest.skip("this machine has no IPv6")
-        ground.settimeout(60.0)
-        with opened(opener(f"udpout:{NAME}:{ground.getsockname()[1]}")) as channel:
-            channel.write(b"hello")
-            assert ground.recv(100) == b"hello"
-
-
-def test_udp_sends_to_the_ipv6_address_without_a_route_to_the_other(
-    named: list[str], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("addresses", "tried"), [([V6], [V6]), ([V6, V4], [V4, V6]), ([V4, V6], [V4, V6]), ([V4], [V4])]
+)
+def test_udp_tries_the_ipv6_address_without_a_route_to_the_other(
+    named: list[str], addresses: list[str], tried: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In a network without IPv4 a name may still have an address of it."""
+    """In a network without IPv4 a name may still have an address of it. No IPv6 is needed here: nothing is sent."""
+    named[:] = addresses
+    seen: list[str] = []
 
-    def source(family: int, target: Any) -> str:
-        if family == socket.AF_INET:
-            raise OSError(errno.ENETUNREACH, "Network is unreachable")
-        return V6
+    def unreachable(self: ChannelOpener, address: Any) -> Channel:
+        seen.append(address[1][0])
+        raise OSError(errno.ENETUNREACH, "Network is unreachable")
 
-    monkeypatch.setattr(mavlink_connection, "_source", source)
-    made = opener(f"udpout:{NAME}:14550")
-    try:
-        made.open().close()
-    except OSError:
-        pytest.skip("this machine has no IPv6")
-    assert made._target is not None
-    assert made._target[0] == socket.AF_INET6
+    monkeypatch.setattr(ChannelOpener, "_send_to", unreachable)
+    with pytest.raises(OSError, match="unreachable"):
+        opener(f"udpout:{NAME}:14550").open()
+    assert seen == tried
 
 
 def test_a_udp_peer_has_moved_when_its_address_is_not_named_any_more(
