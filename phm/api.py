@@ -16,8 +16,8 @@ entry-point group ``phm.checks``; the entry point's name is the check's name::
                                  brief=f"battery {volts:.1f} V", condition="battery_low")
             return api.ok(f"battery at {volts:.1f} V", values={"battery_v": volts})
 
-`run` may block, raise and be slow: it runs in its own thread. An exception or an exceeded deadline becomes STALE, a
-statement about PHM and never a fault of the vehicle.
+`run` may block, raise and be slow: other checks continue meanwhile. Its runs may be in different threads, never two at a time.
+An exception or an exceeded deadline becomes STALE, a statement about PHM and never a fault of the vehicle.
 """
 
 from __future__ import annotations
@@ -225,8 +225,7 @@ class Check(ABC):
 
     Attributes of the class, or of an instance where no ClassVar: `name` (as in the entry point), `slot`, `layer`; `period_s` how often it runs between
     the passes (None: at each pass only); `deadline_s` after which it is overdue; `failures` how many runs
-    in a row must be bad before it is reported. A user may override these three in the configuration. `blocking`: False if `run`
-    never waits and reads no file: it only evaluates what PHM has in memory. Such checks share a thread.
+    in a row must be bad before it is reported. A user may override these three in the configuration.
     """
 
     name: ClassVar[str]
@@ -235,7 +234,6 @@ class Check(ABC):
     period_s: float | None = None
     deadline_s: float = 10.0
     failures: int = 1
-    blocking: bool = True
 
     @classmethod
     def build(cls, settings: Settings) -> Iterable[Check]:

@@ -38,7 +38,6 @@ class Autopilot(api.Check):
 
     name, slot, layer = "autopilot", Slot.AUTOPILOT, Layer.LINK
     period_s = 1.0
-    blocking = False
 
     def __init__(self, settings: api.Settings) -> None:
         self._settings = settings

@@ -27,7 +27,6 @@ class Data(api.Check):
 
     name, slot, layer = "data", Slot.RATES, Layer.ROS
     period_s = 1.0
-    blocking = False
 
     def __init__(
         self, topics: Sequence[api.TopicSettings], units: Sequence[api.Unit], places: Mapping[str, str]

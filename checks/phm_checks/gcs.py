@@ -25,7 +25,6 @@ class Gcs(api.Check):
 
     name, slot, layer = "gcs", Slot.COMPANION, Layer.LINK
     period_s = 1.0
-    blocking = False
 
     def __init__(self, settings: api.Settings) -> None:
         self._settings = settings

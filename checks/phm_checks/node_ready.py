@@ -35,7 +35,6 @@ class NodeReady(api.Check):
 
     name, slot, layer = "node_ready", Slot.NODES, Layer.ROS
     period_s = 1.0
-    blocking = False
 
     def __init__(self, settings: api.Settings) -> None:
         self._settings = settings

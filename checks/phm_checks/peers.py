@@ -22,7 +22,6 @@ class Peers(api.Check):
 
     name, slot, layer = "peers", Slot.PEERS, Layer.LINK
     period_s = 1.0
-    blocking = False
 
     def __init__(self, agents: Sequence[int]) -> None:
         self._agents = tuple(agents)

@@ -27,7 +27,6 @@ class Radio(api.Check):
 
     name, slot, layer = "radio", Slot.RADIO, Layer.LINK
     period_s = 1.0
-    blocking = False
 
     def __init__(self, entry: api.EndpointSettings, settings: api.Settings) -> None:
         self.entry, self._limits = entry, settings.mavlink

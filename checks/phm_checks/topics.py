@@ -44,7 +44,6 @@ class Topics(api.Check):
 
     name, slot, layer = "topics", Slot.TOPICS, Layer.ROS
     period_s = 1.0
-    blocking = False
 
     def __init__(
         self,

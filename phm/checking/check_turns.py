@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import threading
 import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from typing import Any
 
 from phm.api import CannotTell, Check, World, stale
 from phm.checking.result_check import checked
+from phm.core import run_start
 from phm.core.clock import Clock
 from phm.core.model import Result
 
@@ -18,6 +18,10 @@ logger = logging.getLogger(__name__)
 
 MIN_GAP_S = 0.05
 """Minimum pause between two runs of a check, however often it is woken."""
+LONG_S = 0.05
+"""A run that takes longer may wait for something: the other checks get another thread."""
+LONG_FOR_S = 60.0
+"""How long after such a run the check gets a thread before it runs. An engine may leave only every second request unanswered."""
 _MISSING = stale("the check returned no result for this unit")
 
 
@@ -36,7 +40,7 @@ class ScheduledCheck:
 
 @dataclass(frozen=True, slots=True)
 class CheckRun:
-    """One run of a check: a result for each of its units. `started` is in monotonic seconds."""
+    """One run of a check: a result for each of its units. `started`: since when they count, in monotonic seconds."""
 
     units: Mapping[str, Result]
     started: float
@@ -49,30 +53,39 @@ Sink = Callable[[CheckRun], None]
 
 
 class CheckTurns:
-    """The turns of one check. `running_since` is None between runs. Only the thread that runs it calls `run`."""
+    """The turns of one check. `running_since` is None between runs. Only the thread that has taken it calls `run`."""
 
     def __init__(self, scheduled: ScheduledCheck, world: World, clock: Clock, sink: Sink, first: float) -> None:
         """first: the turns are at this moment (monotonic seconds) and multiples of the period after it."""
         self.scheduled, self.units = scheduled, scheduled.units
         self._world, self._clock, self._sink, self._first = world, clock, sink, first
-        self._reason, self._woken = "start", True
-        self._next = self._rested = clock.mono()
-        self.thread_wake = threading.Event()
-        """Wakes the thread that runs the check."""
+        self._period_s = max(MIN_GAP_S, scheduled.period_s)
+        self._reason = "start"
+        self.woken = True
+        self._woken_at = self._next = self._rested = self._long_until = clock.mono()
+        self.taken_at: float | None = None
+        """Since when a thread runs it, with the delivery of its results; None: no thread does."""
         self.stopping = False
         self.running_since: float | None = None
         self.overdue_reported = False
 
     def wake(self, reason: str) -> None:
         """Run as soon as possible, once for all wake-ups until then."""
-        self._reason = reason
-        self._woken = True
-        self.thread_wake.set()
+        self._reason, self._woken_at = reason, self._clock.mono()
+        self.woken = True
 
     @property
     def due(self) -> float:
-        """The moment of the next run, in monotonic seconds."""
-        return self._rested if self._woken else max(self._rested, self._next)
+        """The moment of the next run, in monotonic seconds, when it is not running."""
+        return self._rested if self.woken else max(self._rested, self._next)
+
+    def next_look(self, now: float) -> float:
+        """When it may be due: while it is running, at its next turn."""
+        return self.due if self.taken_at is None else now + self._left_s(now)
+
+    def may_take_long(self, now: float) -> bool:
+        """Whether a run of the last minute took long."""
+        return now < self._long_until
 
     def left_s(self, now: float) -> float | None:
         """Seconds to the deadline of the current run, without time in which PHM itself was suspended; None: not running."""
@@ -86,27 +99,34 @@ class CheckTurns:
         left_s = self.left_s(now)
         return left_s is not None and left_s < 0
 
-    def run(self) -> None:
-        """Run the check and pass on its results."""
-        self._woken = False  # before the reason is read: a wake-up from now on causes another run
+    def run(self, looked_at: float) -> None:
+        """Run the check and pass on its results. looked_at: when the thread looked for due checks, monotonic seconds. The results count
+        from then, or from the wake-up if that was later: see `phm.core.run_start`."""
+        self.woken = False  # before the reason is read: a wake-up from now on causes another run
         reason, self._reason = self._reason, "period"
+        since = max(looked_at, self._woken_at)
         started = self._clock.mono()
         self.overdue_reported = False
         self.running_since = started
         try:
-            results = self._evaluate()
+            with run_start.counting_from(since):
+                results = self._evaluate()
         finally:
             self.running_since = None
         if not self.stopping:
-            self._deliver(CheckRun(results, started, self._clock.mono() - started, reason))
+            self._deliver(CheckRun(results, since, self._clock.mono() - started, reason))
         ended = self._clock.mono()
         self._next, self._rested = ended + self._pause_s(started, ended), ended + MIN_GAP_S
+        if ended - started >= LONG_S:
+            self._long_until = ended + LONG_FOR_S
+
+    def _left_s(self, now: float) -> float:
+        return self._period_s - (now - self._first) % self._period_s
 
     def _pause_s(self, started: float, ended: float) -> float:
         """Until its next turn, about a period at most; as long as the run took, so that a slow check does not run all the time."""
-        period_s = max(MIN_GAP_S, self.scheduled.period_s)
-        left_s = period_s - (ended - self._first) % period_s
-        return max(left_s if left_s >= MIN_GAP_S else left_s + period_s, min(period_s, ended - started))
+        left_s = self._left_s(ended)
+        return max(left_s if left_s >= MIN_GAP_S else left_s + self._period_s, min(self._period_s, ended - started))
 
     def _deliver(self, run: CheckRun) -> None:
         try:

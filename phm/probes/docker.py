@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from phm.core import run_start
 from phm.core.clock import Clock
 from phm.core.settings import ContainerSettings, DockerSettings
 from phm.facts import CannotTell, ContainerFact, NoResponse, OtherContainer, ProcessFact
@@ -154,14 +155,14 @@ class Docker:
     def _shared(
         self, key: str, ask: Callable[[TimeBudget], ContainerFact | None], young_s: float
     ) -> ContainerFact | None:
-        """The response to a request that was made at most `young_s` before this call, or later.
+        """The response to a request that was made at most `young_s` before this call, or later. In the run of a check, the first time:
+        before the moment from which its results count.
 
-        Threads that wait while another one asks share its next response. A check's result counts from the start of its
-        run, so none of its data may be older.
+        Threads that wait while another one asks share its next response.
         """
-        entry, called_at = self._entries[key], self._clock.mono()
+        entry, called_at = self._entries[key], run_start.oldest((self, key), self._clock.mono())
         last = entry.response
-        if young_s and self._usable(last, called_at, young_s):
+        if self._usable(last, called_at, young_s):
             return last.result()  # not waiting for a request that a busy engine has not answered yet
         # The holder of the lock releases it when its own deadline has passed.
         if not entry.lock.acquire(timeout=self._engine.timeout_s + 1):

@@ -27,6 +27,8 @@ from phm.transport.docker import DockerEngine, EngineMissing
 MAX_BYTES = 1 << 30
 DIGEST_S = 15.0
 """Deadline for reading an entire file; the rest of a scan has the engine's timeout."""
+FRESH_S = 0.2
+"""A response of the engine of this age is sufficient for the next file of a container."""
 _SUMS = 256
 _TOO_LARGE = "too large"
 """Stored instead of a checksum: the file is not read again until it has changed."""
@@ -67,7 +69,7 @@ class Files:
         """Raises CannotTell if the container does not exist, or the file is too large or too slow to read."""
         path = normal(path)
         try:
-            fact, me = self._docker.container(container), self._docker.own_container()
+            fact, me = self._docker.container(container, FRESH_S), self._docker.own_container()
         except CannotTell as error:
             return self._without_engine(container, path, digest, error)
         if fact is None:

@@ -1,8 +1,7 @@
-"""The scheduler: one thread per check, deadlines, and isolated crashes."""
+"""The scheduler: turns, deadlines, and isolated crashes."""
 
 from __future__ import annotations
 
-import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
@@ -10,8 +9,8 @@ from typing import Any
 import pytest
 
 from phm import api, testing
-from phm.checking.check_turns import CheckRun, CheckTurns, ScheduledCheck
-from phm.checking.scheduler import APART_S, CheckScheduler
+from phm.checking.check_turns import CheckRun, ScheduledCheck
+from phm.checking.scheduler import CheckScheduler
 from tests.fakes.until import until
 
 LIMIT_S = 60.0
@@ -77,89 +76,6 @@ def test_a_check_runs_at_start_and_then_every_period(rig: Rig) -> None:
         until(lambda count=count: len(rig.batches) == count, "the next result")  # type: ignore[misc]
 
 
-def test_checks_that_may_wait_run_shortly_after_each_other(rig: Rig) -> None:
-    """Both run at the start, and then each period, but not together: threads that wake together wait for each other."""
-    rig.start(Scripted(lambda: api.ok("a"), "a"), Scripted(lambda: api.ok("b"), "b"), period_s=20.0)
-    until(lambda: len(rig.batches) == 2, "the first results")
-    rig.clock.wait_for_sleepers(2, LIMIT_S)
-    rig.clock.advance(20.0)
-    assert len(rig.batches) == 2
-    for count, unit in enumerate(("a", "b", "a", "b"), 3):
-        rig.clock.wait_for_sleepers(2, LIMIT_S)
-        rig.clock.advance(1.01 * APART_S)
-        until(lambda count=count: len(rig.batches) == count, "the next result")  # type: ignore[misc]
-        assert unit in rig.batches[-1].units
-        if count == 4:
-            rig.clock.wait_for_sleepers(2, LIMIT_S)
-            rig.clock.advance(20.0 - 2.02 * APART_S)
-
-
-class Quick(Scripted):
-    """One that never waits."""
-
-    blocking = False
-
-
-def test_checks_that_never_wait_share_a_thread(rig: Rig) -> None:
-    """One wake-up for all of them; each has its own period, wake-ups and results."""
-    ran: list[tuple[str, str]] = []
-
-    def run(name: str) -> api.Result:
-        ran.append((name, threading.current_thread().name))
-        return api.ok(name)
-
-    names = ("a", "b", "c")
-    scheduled = [ScheduledCheck(Quick(lambda name=name: run(name), name), 20.0, 5.0) for name in names]
-    engine = CheckScheduler(scheduled, testing.world(), rig.clock, rig.batches.append)
-    rig.engines.append(engine)
-    engine.start()
-    until(lambda: len(rig.batches) == 3, "the first results")
-    rig.clock.wait_for_sleepers(1, LIMIT_S)
-    rig.clock.advance(20.0)
-    until(lambda: len(rig.batches) == 6, "the next results")
-    rig.clock.wait_for_sleepers(1, LIMIT_S)
-    assert [name for name, _ in ran] == [*names, *names]
-    assert len({thread for _, thread in ran}) == 1
-    rig.clock.advance(1.0)
-    engine.wake_units(["b"], "test")
-    until(lambda: len(rig.batches) == 7, "the result of the one that was woken")
-    rig.clock.wait_for_sleepers(1, LIMIT_S)
-    assert "b" in rig.batches[-1].units and rig.batches[-1].reason == "test"
-
-
-def test_one_that_hangs_although_it_never_should_does_not_stop_the_others(rig: Rig) -> None:
-    """Its thread is its own from then on; it is reported, and the others continue with their turns and wake-ups."""
-    begun, hung = threading.Event(), threading.Event()
-
-    def hang() -> api.Result:
-        begun.set()
-        hung.wait()
-        return api.ok("back")
-
-    engine = rig.start(
-        Quick(lambda: api.ok("a"), "a"), Quick(hang, "hung"), Quick(lambda: api.ok("b"), "b"), period_s=20.0
-    )
-    until(begun.is_set, "the run that hangs")
-    assert rig.summaries("a") == ["a"] and not rig.summaries("b")
-    rig.clock.advance(6.0)
-    engine.report_overdue()
-    assert ["deadline of 5 s" in text for text in rig.summaries("hung")] == [True]
-    until(lambda: rig.summaries("b") == ["b"], "the check behind it")
-    rig.clock.wait_for_sleepers(1, LIMIT_S)
-    rig.clock.advance(14.0)
-    until(lambda: len(rig.summaries("a")) == len(rig.summaries("b")) == 2, "the next turn of both")
-    rig.clock.wait_for_sleepers(1, LIMIT_S)
-    rig.clock.advance(1.0)
-    engine.wake_units(["b"], "test")
-    until(lambda: len(rig.summaries("b")) == 3, "the result of a wake-up")
-    hung.set()
-    until(lambda: rig.summaries("hung")[-1] == "back", "the result of the check that hung")
-    rig.clock.wait_for_sleepers(2, LIMIT_S)
-    assert len(rig.summaries("a")) == 2 and engine.overdue() == ()
-    rig.clock.advance(20.0)
-    until(lambda: rig.summaries("hung")[2:] == ["back"], "its next turn")
-
-
 @pytest.mark.parametrize(
     "answer",
     [
@@ -199,9 +115,9 @@ def test_a_wake_runs_only_the_checks_of_its_subject(rig: Rig) -> None:
     """An event runs only the affected checks, not an entire pass."""
     engine = rig.start(Scripted(lambda: api.ok("a"), "a"), Scripted(lambda: api.ok("b"), "b"))
     until(lambda: len(rig.batches) == 2, "the second result")
-    rig.clock.wait_for_sleepers(2, LIMIT_S)
+    rig.clock.wait_for_sleepers(1, LIMIT_S)
     rig.clock.advance(0.05)
-    rig.clock.wait_for_sleepers(2, LIMIT_S)
+    rig.clock.wait_for_sleepers(1, LIMIT_S)
     engine.wake_subject("subject:a")
     until(lambda: len(rig.summaries("a")) == 2, "the second result of a")
     assert len(rig.summaries("b")) == 1
@@ -266,14 +182,6 @@ def test_an_exception_without_a_text_does_not_end_the_thread(kind: type[BaseExce
     until(lambda: rig.summaries("scripted")[1:] == ["fine again"], "the next result")
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_checks_whose_thread_has_ended_are_overdue(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    """PHM reports that it does not know their state, whatever the reason."""
-    monkeypatch.setattr(CheckTurns, "run", lambda self: sys.exit())
-    engine = rig.start(Scripted(lambda: api.ok("a"), "a"))
-    until(lambda: engine.overdue() == ("a",), "the end of the thread")
-
-
 def test_cannot_tell_is_stale_with_the_text_of_the_probe(rig: Rig) -> None:
     """The log has the reason."""
 
@@ -303,16 +211,22 @@ def test_a_hung_check_makes_only_its_own_units_stale(rig: Rig) -> None:
         return api.ok("back")
 
     engine = rig.start(Scripted(hang, "hung"), Scripted(lambda: api.ok("b"), "other"))
-    until(lambda: begun.is_set() and len(rig.summaries("other")) == 1, "the first runs of both")
+    until(begun.is_set, "the run that hangs")
     rig.clock.advance(6.0)
     engine.report_overdue()
     engine.report_overdue()
     assert [("deadline of 5 s" in text) for text in rig.summaries("hung")] == [True]
     assert engine.overdue() == ("hung",)
-    until(lambda: len(rig.summaries("other")) >= 1, "a result of other")
+    until(lambda: len(rig.summaries("other")) == 1, "the result of the other")
+    rig.clock.wait_for_sleepers(1, LIMIT_S)
+    rig.clock.advance(14.0)
+    until(lambda: len(rig.summaries("other")) == 2, "its next turn")
     hung.set()
     until(lambda: rig.summaries("hung")[-1] == "back", "the result of the check that hung")
-    assert engine.overdue() == ()
+    until(lambda: engine.overdue() == (), "the end of its run")
+    rig.clock.wait_for_sleepers(1, LIMIT_S)
+    rig.clock.advance(20.0)
+    until(lambda: rig.summaries("hung")[1:] == ["back", "back"], "its next turn")
 
 
 def test_a_defect_behind_the_sink_does_not_end_the_thread(rig: Rig) -> None:

@@ -92,19 +92,44 @@ def test_events_wait_for_the_thread_of_their_subscriber(limit: Full) -> None:
     bus.close(0.1)
 
 
-def test_a_check_without_a_thread_runs_later(limit: Full) -> None:
-    """The other checks run in the meantime, and stopping does not raise."""
+def test_checks_without_a_thread_run_later(limit: Full) -> None:
+    """Stopping does not raise either."""
     clock, batches = testing.FakeClock(), list[CheckRun]()
-    checks = [Scripted(lambda: api.ok("a"), "a"), Scripted(lambda: api.ok("b"), "b")]
+    engine = CheckScheduler(
+        [ScheduledCheck(Scripted(lambda: api.ok("a"), "a"), 20.0, 5.0)], testing.world(), clock, batches.append
+    )
+    limit.full = True
+    engine.start()
+    assert "phm-check-1" in threads.problem()
+    limit.room()
+    until(lambda: batches, "the result")
+    engine.stop(0.1)
+    clock.advance(1000)
+
+
+def test_checks_that_cannot_get_another_thread_wait(limit: Full) -> None:
+    """It is reported, and they run when the system has room for a thread."""
+    clock, batches, hung = testing.FakeClock(), list[CheckRun](), threading.Event()
+
+    def hang() -> api.Result:
+        hung.wait()
+        return api.ok("back")
+
+    checks = [Scripted(hang, "hung"), Scripted(lambda: api.ok("b"), "b")]
     engine = CheckScheduler(
         [ScheduledCheck(check, 20.0, 5.0) for check in checks], testing.world(), clock, batches.append
     )
-    limit.full, limit.names = True, "phm-check-a"
     engine.start()
-    until(lambda: any("b" in batch.units for batch in batches), "the check that has a thread")
-    assert not any("a" in batch.units for batch in batches)
+    until(lambda: engine.turns[0].running_since is not None, "the run that hangs")
+    clock.advance(1.0)
+    limit.full = True
+    for _ in range(3):
+        engine.report_overdue()
+    assert "phm-check-2" in threads.problem() and not batches
     limit.room()
-    until(lambda: any("a" in batch.units for batch in batches), "the other one")
+    engine.report_overdue()
+    until(lambda: [next(iter(batch.units)) for batch in batches] == ["b"], "the other one")
+    hung.set()
     engine.stop(0.1)
     clock.advance(1000)
 
