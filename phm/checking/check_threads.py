@@ -10,7 +10,8 @@ a system call.
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Iterable, Sequence
 
 from phm.checking.check_turns import LONG_S, CheckTurns
 from phm.core import threads
@@ -37,7 +38,7 @@ class _Worker:
 
 
 class CheckThreads:
-    """At most one thread for each check; a thread that was needed once waits for the next time.
+    """One thread for each check, nearly all of which only wait: when they are needed, the system may have no room for another.
 
     Invariant: only the leader takes a check, and no two threads run the same.
     """
@@ -48,33 +49,41 @@ class CheckThreads:
         self._wake = threading.Event()
         self._ending = False
         self._careful_until = clock.mono()
-        self._workers: list[_Worker] = []
+        self._urgent: deque[CheckTurns] = deque(maxlen=len(turns))
+        """Checks that were woken by an event and have not run since."""
+        self._looking_since: float | None = None
+        """Since when there have been due checks, for one leader after the other."""
+        self._position = 0
+        """The next check to look at. Only the leader changes it."""
+        self._workers = [_Worker(self, number) for number, _ in enumerate(turns, 1)]
         self._idle: list[_Worker] = []
-        self._leader = self._add()
+        self._leader: _Worker | None = None
 
     def start(self) -> None:
-        self._leader.promoted.set()
-        threads.start(self._leader.thread)
+        for each in self._workers:
+            threads.start(each.thread)
 
-    def wake(self) -> None:
-        """A check has been woken."""
+    def wake(self, urgent: Iterable[CheckTurns] = ()) -> None:
+        """Checks have been woken. urgent: those that are looked at first."""
+        self._urgent.extend(urgent)
         self._wake.set()
         self.relieve(self._clock.mono())
 
     def relieve(self, now: float) -> float:
         """Have another thread lead while a run of the leader takes long. Return the seconds until it may be needed again."""
         with self._lock:
-            current = self._leader.current
-            if self._ending or not (current or self._leader.ended):
+            leader = self._leader
+            if self._ending or leader is None:
                 return float("inf")
-            since = current.taken_at if current else None
-            left_s = LONG_S if since is None else since + LONG_S - now
-            if left_s > 0 and not self._leader.ended:
-                return left_s
-            if not any(each.taken_at is None and each.due <= now for each in self._turns):
-                return LONG_S
-            self._careful_until = now + CAREFUL_S
-            self._hand_over()
+            if not leader.ended:
+                if leader.current is None or leader.current.taken_at is None:
+                    return float("inf")
+                left_s = leader.current.taken_at + LONG_S - now
+                if left_s > 0:
+                    return left_s
+            if any(each.taken_at is None and each.due <= now for each in self._turns):
+                self._careful_until = now + CAREFUL_S
+                self._hand_over()
             return LONG_S
 
     def ended(self) -> tuple[CheckTurns, ...]:
@@ -86,14 +95,13 @@ class CheckThreads:
         """Ask all threads to end, without waiting."""
         with self._lock:
             self._ending = True
-            workers = list(self._workers)
         self._wake.set()
-        for each in workers:
+        for each in self._workers:
             each.promoted.set()
 
     def join(self, until: float) -> None:
         """Wait for their end, until this moment (monotonic seconds)."""
-        for each in list(self._workers):
+        for each in self._workers:
             threads.join(each.thread, max(0.01, until - self._clock.mono()))
 
     # ------------------------------------------------------------ in the threads
@@ -101,35 +109,60 @@ class CheckThreads:
     def work(self, me: _Worker) -> None:
         """The loop of one thread."""
         while not self._ending:
-            me.promoted.wait()
-            me.promoted.clear()
-            while self._leads(me):
-                self._wake.clear()
-                looked_at = self._clock.mono()
-                if all(self._run_if_due(me, each, looked_at) for each in self._turns):
-                    now = self._clock.mono()
-                    self._clock.wait(self._wake, min(each.next_look(now) for each in self._turns) - now)
+            if not self._leads(me):
+                me.promoted.wait()
+                me.promoted.clear()
+                continue
+            self._wake.clear()
+            if self._run_due(me):
+                now, self._looking_since = self._clock.mono(), None
+                self._clock.wait(self._wake, min(each.next_look(now) for each in self._turns) - now)
 
     def _leads(self, me: _Worker) -> bool:
-        """Whether it still leads. If not, it is free for another time."""
+        """Whether it leads: the first one does. If not, it is free for another time."""
         with self._lock:
+            if self._leader is None:
+                self._leader = me
             if self._leader is me or self._ending:
                 return not self._ending
             self._idle.append(me)
             return False
 
+    def _run_due(self, me: _Worker) -> bool:
+        """Look at each check once. Return whether this thread still leads."""
+        looked_at = self._clock.mono()
+        self._looking_since = self._looking_since or looked_at
+        for _ in self._turns:
+            if not self._run_urgent(me, looked_at):
+                return False
+            each = self._turns[self._position]
+            self._position = (self._position + 1) % len(self._turns)
+            if not self._run_if_due(me, each, looked_at):
+                return False
+            if (now := self._clock.mono()) - looked_at >= LONG_S:
+                looked_at = now
+        return True
+
+    def _run_urgent(self, me: _Worker, looked_at: float) -> bool:
+        """Return whether it still leads."""
+        for _ in range(len(self._urgent)):
+            each = self._urgent.popleft()
+            if each.woken and each.due > self._clock.mono() + SAME_S:
+                self._urgent.append(each)  # it has just run, and pauses
+            elif not self._run_if_due(me, each, looked_at):
+                return False
+        return True
+
     def _run_if_due(self, me: _Worker, turns: CheckTurns, looked_at: float) -> bool:
         """Return whether it still leads."""
         now = self._clock.mono()
-        if turns.due > now + SAME_S:
-            return True
         with self._lock:
             if self._ending or self._leader is not me:
                 return False
-            if turns.taken_at is not None:
+            if turns.taken_at is not None or turns.due > now + SAME_S:
                 return True
             turns.taken_at, me.current = now, turns
-            if now < self._careful_until or turns.may_take_long(now):
+            if self._others_would_wait(now) or turns.may_take_long(now):
                 self._hand_over()
         turns.run(looked_at)
         with self._lock:
@@ -140,21 +173,14 @@ class CheckThreads:
             self._wake.set()
         return False
 
+    def _others_would_wait(self, now: float) -> bool:
+        """Whether those that are due have been waiting for others for long."""
+        return now < self._careful_until or now - (self._looking_since or now) >= LONG_S
+
     # ------------------------------------------------------------ with the lock held
 
     def _hand_over(self) -> None:
-        """Another thread leads from now on. Without one, at a process limit, the current one still does."""
+        """Another thread leads from now on. Without one, while the system has no room for all threads, the current one still does."""
         if self._idle:
-            worker = self._idle.pop()
-        else:
-            worker = self._add()
-            if not threads.start_now(worker.thread):
-                self._workers.remove(worker)
-                return
-        self._leader = worker
-        worker.promoted.set()
-
-    def _add(self) -> _Worker:
-        worker = _Worker(self, len(self._workers) + 1)
-        self._workers.append(worker)
-        return worker
+            self._leader = self._idle.pop()
+            self._leader.promoted.set()

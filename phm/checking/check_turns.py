@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -18,6 +19,8 @@ logger = logging.getLogger(__name__)
 
 MIN_GAP_S = 0.05
 """Minimum pause between two runs of a check, however often it is woken."""
+FOR_REPORT = "pass"
+"""The reason of a wake-up of all checks for a report."""
 LONG_S = 0.05
 """A run that takes longer may wait for something: the other checks get another thread."""
 LONG_FOR_S = 60.0
@@ -62,12 +65,17 @@ class CheckTurns:
         self._period_s = max(MIN_GAP_S, scheduled.period_s)
         self._reason = "start"
         self.woken = True
-        self._woken_at = self._next = self._rested = self._long_until = clock.mono()
+        self._woken_at = self._next = self._long_until = clock.mono()
+        self._rested = math.inf  # until `start`
         self.taken_at: float | None = None
         """Since when a thread runs it, with the delivery of its results; None: no thread does."""
         self.stopping = False
         self.running_since: float | None = None
         self.overdue_reported = False
+
+    def start(self) -> None:
+        """It may run from now on."""
+        self._rested = self._clock.mono()
 
     def wake(self, reason: str) -> None:
         """Run as soon as possible, once for all wake-ups until then."""
@@ -87,17 +95,22 @@ class CheckTurns:
         """Whether a run of the last minute took long."""
         return now < self._long_until
 
-    def left_s(self, now: float) -> float | None:
-        """Seconds to the deadline of the current run, without time in which PHM itself was suspended; None: not running."""
-        since, limit_s = self.running_since, self.scheduled.deadline_s
-        if since is None:
-            return None
+    @property
+    def owed_since(self) -> float:
+        """Since when it runs, or since when it waits for a thread; later than now if it does neither."""
+        since = self.running_since
+        if since is not None:
+            return since
+        return self.due if self.taken_at is None else math.inf  # its results are being delivered
+
+    def left_s(self, now: float) -> float:
+        """Seconds to the deadline of its run or of its wait for a thread, without time in which PHM itself was suspended."""
+        since, limit_s = self.owed_since, self.scheduled.deadline_s
         left_s = since + limit_s - now
         return left_s if left_s >= 0 else left_s + self._clock.late_s(since, limit_s)
 
     def overdue(self, now: float) -> bool:
-        left_s = self.left_s(now)
-        return left_s is not None and left_s < 0
+        return self.left_s(now) < 0
 
     def run(self, looked_at: float) -> None:
         """Run the check and pass on its results. looked_at: when the thread looked for due checks, monotonic seconds. The results count

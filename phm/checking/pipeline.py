@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterable
 
+from phm.checking.check_turns import FOR_REPORT
 from phm.core.bus import Bus
 from phm.core.clock import Clock
 from phm.core.model import Event, Fault, FaultClosed, Note, Report, ReportStarted, Result, Stamp, UnitState
@@ -97,7 +98,7 @@ class Pipeline:
             self._bus.publish(ReportStarted(now, self._pass_number))
             units = set(self._outstanding)
             self._finish_pass(now)
-        self._wake_units(units, "pass")
+        self._wake_units(units, FOR_REPORT)
 
     # ------------------------------------------------------------ from recovery and from events
 

@@ -6,11 +6,11 @@ a fault of the vehicle. The scheduler does not evaluate levels.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 from phm.api import World, stale
 from phm.checking.check_threads import CheckThreads
-from phm.checking.check_turns import CheckRun, CheckTurns, ScheduledCheck, Sink
+from phm.checking.check_turns import FOR_REPORT, CheckRun, CheckTurns, ScheduledCheck, Sink
 from phm.core.clock import Clock
 
 WATCH_S = 0.1
@@ -32,38 +32,46 @@ class CheckScheduler:
                 self._by_subject.setdefault(subject, []).append(each)
 
     def start(self) -> None:
-        if self.turns:
-            self._threads.start()
+        for each in self.turns:
+            each.start()
+        self._threads.start()
 
     def wake_subject(self, subject: str, reason: str = "") -> None:
         """Wake every check that named `subject` in its `wakes`."""
         self._wake(self._by_subject.get(subject, ()), reason or subject)
 
     def wake_units(self, units: Iterable[str], reason: str) -> None:
+        """Wake the checks of these units. They run before those that only their period or a pass (the reason FOR_REPORT) makes due."""
         self._wake({id(each): each for unit in units if (each := self._by_unit.get(unit))}.values(), reason)
 
-    def _wake(self, woken: Iterable[CheckTurns], reason: str) -> None:
+    def _wake(self, woken: Collection[CheckTurns], reason: str) -> None:
         for each in woken:
             each.wake(reason)
-        self._threads.wake()
+        self._threads.wake(() if reason == FOR_REPORT else woken)
 
     def report_overdue(self) -> float:
-        """Report runs past their deadline as STALE, once each, and continue with the others while one takes long.
+        """Report checks past their deadline as STALE, once for each run, and continue with the others while one takes long.
 
         Return the seconds until the next current run is overdue or takes long.
         """
         now = self._clock.mono()
         next_s = self._threads.relieve(now)
         for each in self.turns:
-            since = each.running_since
-            if since is None or each.overdue_reported:
+            running, since = each.running_since is not None, each.owed_since
+            if since > now or each.overdue_reported:
                 continue
-            left_s, limit = each.left_s(now), each.scheduled.deadline_s
-            if left_s is None or left_s >= 0:
-                next_s = min(next_s, next_s if left_s is None else left_s)
+            left_s = each.left_s(now)
+            if left_s >= 0:
+                next_s = min(next_s, left_s)
                 continue
             each.overdue_reported = True
-            result = stale(f"the check exceeded its deadline of {limit:g} s; it is still running")
+            limit = f"{each.scheduled.deadline_s:g} s"
+            late = (
+                f"exceeded its deadline of {limit}; it is still running"
+                if running
+                else f"has waited {limit} for a thread"
+            )
+            result = stale(f"the check {late}")
             self._sink(CheckRun(dict.fromkeys(each.units, result), now, now - since, "overdue", overdue=True))
         return next_s
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import random
+import string
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 
@@ -30,6 +32,7 @@ class Listed(api.Check):
         self.threads: list[str] = []
         self.free = threading.Event()
         self.free.set()
+        self.during: Callable[[], None] = lambda: None
 
     @property
     def units(self) -> tuple[api.Unit, ...]:
@@ -38,15 +41,17 @@ class Listed(api.Check):
     def run(self, world: api.World) -> api.Result:
         self.threads.append(threading.current_thread().name)
         self.free.wait()
+        self.during()
         return api.ok(self.title)
 
 
 class Rig:
-    """The checks a, b and c of one period, on a fake clock."""
+    """The checks a, b, c and so on of one period, on a fake clock."""
 
-    def __init__(self, hanging: str = "") -> None:
+    def __init__(self, hanging: str = "", number: int = 3) -> None:
         self.clock = testing.FakeClock()
-        self.a, self.b, self.c = self.checks = [Listed(name) for name in "abc"]
+        self.checks = [Listed(name) for name in string.ascii_letters[:number]]
+        self.a, self.b, self.c = self.checks[:3]
         for each in self.checks:
             if each.title in hanging:
                 each.free.clear()
@@ -139,6 +144,55 @@ def test_a_check_that_is_woken_does_not_wait_for_another(hanging: Rig) -> None:
     hanging.expect(2, 1, 1)
 
 
+def test_a_check_that_is_woken_does_not_wait_for_all_others() -> None:
+    """In a long look, e.g. for a report, an event is first; and a look that takes long is continued by another thread."""
+    rig = Rig(number=20)
+    rig.expect(*[1] * 20)
+    order: list[str] = []
+    places: list[str] = []
+    for each in rig.checks:
+        each.during = lambda name=each.title: during(name)  # type: ignore[misc]
+
+    def during(name: str) -> None:
+        order.append(name)
+        places.append(threading.current_thread().name)
+        if name == "c":
+            rig.scheduler.wake_units(["a"], "event")
+        rig.clock.advance(0.4 * LONG_S)
+
+    rig.next_turn()
+    rig.clock.wait_for_sleepers(1, LIMIT_S)
+    until(lambda: len(order) >= 21, "a run of each and one more")
+    assert order.index("a", 1) == 4  # after its pause
+    assert places[0] == places[1] == places[2]
+    assert all(one != other for one, other in itertools.pairwise(places[3:]))
+    rig.close()
+
+
+def test_a_check_is_not_taken_again_just_after_its_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another thread looks at it in the moment in which its run ends."""
+    rig = Rig("b")
+    until(lambda: rig.counts() == [1, 1, 0], "the run that waits")
+    due = CheckTurns.__dict__["due"].fget
+    looked, go_on = threading.Event(), threading.Event()
+
+    def pause(turns: CheckTurns) -> float:
+        before: float = due(turns)
+        if turns.units == ("b",) and threading.current_thread().name.startswith("phm-check-") and not looked.is_set():
+            looked.set()
+            go_on.wait(1.0)
+        return before
+
+    monkeypatch.setattr(CheckTurns, "due", property(pause))
+    rig.clock.advance(2 * LONG_S)
+    rig.scheduler.report_overdue()
+    rig.b.free.set()
+    until(lambda: len(rig.runs) >= 3, "the end of all runs")
+    go_on.set()
+    rig.expect(1, 1, 1)
+    rig.close()
+
+
 def test_a_check_that_took_long_delays_the_others_only_once(hanging: Rig) -> None:
     """The others get their thread before it runs, for as long as one of its runs took long in the last minute."""
     until(lambda: hanging.counts() == [1, 1, 0], "the run that waits")
@@ -155,7 +209,10 @@ def test_a_check_that_took_long_delays_the_others_only_once(hanging: Rig) -> Non
     hanging.expect(3, 3, 3)
     hanging.b.free.clear()
     hanging.next_turn()
-    until(lambda: hanging.counts() == [4, 4, 3], "the run that waits, in the only thread again")
+    until(lambda: len(hanging.b.threads) == 4, "the run that waits")
+    assert hanging.scheduler.report_overdue() == pytest.approx(
+        LONG_S
+    )  # its thread is the one that looks for the next turn
 
 
 def test_a_check_that_is_woken_while_it_runs_runs_again(hanging: Rig) -> None:
@@ -177,21 +234,19 @@ def test_a_check_that_is_woken_while_it_runs_runs_again(hanging: Rig) -> None:
 def test_results_count_from_the_moment_when_the_thread_looked(rig: Rig) -> None:
     """So one reading is enough for all checks that are due. A check that is woken later counts from the wake-up."""
     rig.expect(1, 1, 1)
-    run = rig.a.run
 
-    def slowly(world: api.World) -> api.Result:
+    def during() -> None:
         rig.clock.advance(0.01)
         rig.scheduler.wake_units(["c"], "event")
         rig.clock.advance(0.01)
-        return run(world)
 
-    rig.a.run = slowly  # type: ignore[method-assign]
+    rig.a.during = during
     rig.next_turn()
     rig.expect(2, 2, 2)
     looked_at = rig.runs[3].started
     assert rig.runs[3].duration_s == pytest.approx(0.02)
-    assert rig.runs[4].started == looked_at
-    assert rig.runs[5].started == pytest.approx(looked_at + 0.01) and rig.runs[5].reason == "event"
+    assert rig.runs[4].started == pytest.approx(looked_at + 0.01) and rig.runs[4].reason == "event"
+    assert rig.runs[5].started == looked_at and rig.runs[5].units.keys() == {"b"}
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")

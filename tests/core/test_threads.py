@@ -107,8 +107,8 @@ def test_checks_without_a_thread_run_later(limit: Full) -> None:
     clock.advance(1000)
 
 
-def test_checks_that_cannot_get_another_thread_wait(limit: Full) -> None:
-    """It is reported, and they run when the system has room for a thread."""
+def test_checks_that_have_no_thread_are_unknown(limit: Full) -> None:
+    """Not as they were before, for good. They run when the system has room for their thread."""
     clock, batches, hung = testing.FakeClock(), list[CheckRun](), threading.Event()
 
     def hang() -> api.Result:
@@ -119,16 +119,25 @@ def test_checks_that_cannot_get_another_thread_wait(limit: Full) -> None:
     engine = CheckScheduler(
         [ScheduledCheck(check, 20.0, 5.0) for check in checks], testing.world(), clock, batches.append
     )
+    limit.full, limit.names = True, "phm-check-2"
     engine.start()
+    assert "phm-check-2" in threads.problem()
     until(lambda: engine.turns[0].running_since is not None, "the run that hangs")
-    clock.advance(1.0)
-    limit.full = True
+    clock.advance(4.9)
+    engine.report_overdue()
+    assert not batches and engine.overdue() == ()
+    clock.advance(0.2)
     for _ in range(3):
         engine.report_overdue()
-    assert "phm-check-2" in threads.problem() and not batches
+    assert [result.summary for batch in batches for unit, result in batch.units.items() if unit in ("hung", "b")] == [
+        "the check exceeded its deadline of 5 s; it is still running",
+        "the check has waited 5 s for a thread",
+    ]
+    assert engine.overdue() == ("hung", "b")
     limit.room()
     engine.report_overdue()
-    until(lambda: [next(iter(batch.units)) for batch in batches] == ["b"], "the other one")
+    until(lambda: next(iter(batches[-1].units)) == "b" and not batches[-1].overdue, "the other one")
+    assert engine.overdue() == ("hung",)
     hung.set()
     engine.stop(0.1)
     clock.advance(1000)

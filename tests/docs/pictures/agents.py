@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import random
 import socket
 import subprocess
 import sys
@@ -83,5 +84,18 @@ def agents(folder: Path, ports: DemoPorts) -> Iterator[PictureAgents]:
 
 
 def free_ports(ground: int | None = None) -> DemoPorts:
-    """Ports of autopilots that are not in use, most likely. ground: that of `phm gcs`; default: one that is not in use."""
-    return DemoPorts(min(free_port(), 64900), ground or free_port(socket.SOCK_DGRAM))
+    """Ports of autopilots that are not in use. ground: that of `phm gcs`; default: one that is not in use.
+
+    They are below those that the kernel chooses for connections: a connection of another program would take one meanwhile.
+    """
+    while True:
+        chosen = DemoPorts(random.randrange(20000, 32000), ground or free_port(socket.SOCK_DGRAM))
+        if all(_is_free(chosen.companion(agent)) for agent in PictureAgents.agents):
+            return chosen
+
+
+def _is_free(port: int) -> bool:
+    with socket.socket() as sock, contextlib.suppress(OSError):
+        sock.bind(("127.0.0.1", port))
+        return True
+    return False
