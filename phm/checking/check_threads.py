@@ -49,8 +49,8 @@ class CheckThreads:
         self._wake = threading.Event()
         self._ending = False
         self._careful_until = clock.mono()
-        self._urgent: deque[CheckTurns] = deque(maxlen=len(turns))
-        """Checks that were woken by an event and have not run since."""
+        self._urgent: deque[CheckTurns] = deque()
+        """Checks that were woken by an event and have not run since, each once."""
         self._looking_since: float | None = None
         """Since when there have been due checks, for one leader after the other."""
         self._position = 0
@@ -65,7 +65,9 @@ class CheckThreads:
 
     def wake(self, urgent: Iterable[CheckTurns] = ()) -> None:
         """Checks have been woken. urgent: those that are looked at first."""
-        self._urgent.extend(urgent)
+        with self._lock:
+            for each in urgent:
+                self._put_first(each)
         self._wake.set()
         self.relieve(self._clock.mono())
 
@@ -146,10 +148,12 @@ class CheckThreads:
     def _run_urgent(self, me: _Worker, looked_at: float) -> bool:
         """Return whether it still leads."""
         for _ in range(len(self._urgent)):
-            each = self._urgent.popleft()
-            if each.woken and each.due > self._clock.mono() + SAME_S:
-                self._urgent.append(each)  # it has just run, and pauses
-            elif not self._run_if_due(me, each, looked_at):
+            with self._lock:
+                each = self._urgent.popleft()
+                pauses = each.woken and each.due > self._clock.mono() + SAME_S
+                if pauses:  # it has just run
+                    self._put_first(each)
+            if not pauses and not self._run_if_due(me, each, looked_at):
                 return False
         return True
 
@@ -169,8 +173,9 @@ class CheckThreads:
             turns.taken_at = me.current = None
             if self._leader is me:
                 return True
-        if turns.woken:  # meanwhile, and the leader could not take it
-            self._wake.set()
+            if turns.woken:  # meanwhile, and the leader could not take it
+                self._put_first(turns)
+                self._wake.set()
         return False
 
     def _others_would_wait(self, now: float) -> bool:
@@ -178,6 +183,10 @@ class CheckThreads:
         return now < self._careful_until or now - (self._looking_since or now) >= LONG_S
 
     # ------------------------------------------------------------ with the lock held
+
+    def _put_first(self, turns: CheckTurns) -> None:
+        if turns not in self._urgent:
+            self._urgent.append(turns)
 
     def _hand_over(self) -> None:
         """Another thread leads from now on. Without one, while the system has no room for all threads, the current one still does."""

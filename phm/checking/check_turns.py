@@ -65,13 +65,14 @@ class CheckTurns:
         self._period_s = max(MIN_GAP_S, scheduled.period_s)
         self._reason = "start"
         self.woken = True
-        self._woken_at = self._next = self._long_until = clock.mono()
+        self._woken_at = self._waits_since = self._next = self._long_until = clock.mono()
         self._rested = math.inf  # until `start`
         self.taken_at: float | None = None
         """Since when a thread runs it, with the delivery of its results; None: no thread does."""
         self.stopping = False
         self.running_since: float | None = None
-        self.overdue_reported = False
+        self.overdue_reported: object = None
+        """The `owed` that was reported as overdue last."""
 
     def start(self) -> None:
         """It may run from now on."""
@@ -80,6 +81,8 @@ class CheckTurns:
     def wake(self, reason: str) -> None:
         """Run as soon as possible, once for all wake-ups until then."""
         self._reason, self._woken_at = reason, self._clock.mono()
+        if not self.woken:
+            self._waits_since = self._woken_at
         self.woken = True
 
     @property
@@ -96,16 +99,18 @@ class CheckTurns:
         return now < self._long_until
 
     @property
-    def owed_since(self) -> float:
-        """Since when it runs, or since when it waits for a thread; later than now if it does neither."""
+    def owed(self) -> tuple[bool, float]:
+        """Whether it runs, and since when it runs or waits for a thread (monotonic seconds): later than now if it does neither."""
         since = self.running_since
         if since is not None:
-            return since
-        return self.due if self.taken_at is None else math.inf  # its results are being delivered
+            return True, since
+        if self.stopping or self.taken_at is not None:  # its results are being delivered
+            return False, math.inf
+        return False, max(self._rested, min(self._waits_since, self._next)) if self.woken else self.due
 
     def left_s(self, now: float) -> float:
         """Seconds to the deadline of its run or of its wait for a thread, without time in which PHM itself was suspended."""
-        since, limit_s = self.owed_since, self.scheduled.deadline_s
+        since, limit_s = self.owed[1], self.scheduled.deadline_s
         left_s = since + limit_s - now
         return left_s if left_s >= 0 else left_s + self._clock.late_s(since, limit_s)
 
@@ -119,7 +124,6 @@ class CheckTurns:
         reason, self._reason = self._reason, "period"
         since = max(looked_at, self._woken_at)
         started = self._clock.mono()
-        self.overdue_reported = False
         self.running_since = started
         try:
             with run_start.counting_from(since):

@@ -41,7 +41,7 @@ class CheckScheduler:
         self._wake(self._by_subject.get(subject, ()), reason or subject)
 
     def wake_units(self, units: Iterable[str], reason: str) -> None:
-        """Wake the checks of these units. They run before those that only their period or a pass (the reason FOR_REPORT) makes due."""
+        """Wake the checks of these units. They run before those that only their period or a report (FOR_REPORT) makes due."""
         self._wake({id(each): each for unit in units if (each := self._by_unit.get(unit))}.values(), reason)
 
     def _wake(self, woken: Collection[CheckTurns], reason: str) -> None:
@@ -57,14 +57,14 @@ class CheckScheduler:
         now = self._clock.mono()
         next_s = self._threads.relieve(now)
         for each in self.turns:
-            running, since = each.running_since is not None, each.owed_since
-            if since > now or each.overdue_reported:
+            running, since = owed = each.owed
+            if since > now or each.overdue_reported == owed:
                 continue
             left_s = each.left_s(now)
             if left_s >= 0:
                 next_s = min(next_s, left_s)
                 continue
-            each.overdue_reported = True
+            each.overdue_reported = owed
             limit = f"{each.scheduled.deadline_s:g} s"
             late = (
                 f"exceeded its deadline of {limit}; it is still running"

@@ -70,8 +70,8 @@ class Daemon:
         self._report_unusable_plugins()
         parts.probes.start(links=previous is None)
         threads.start(threading.Thread(target=self._join_networks, name="phm-join", daemon=True))
+        parts.loop.start()  # before the many threads of the checks, for which there may be no room
         parts.scheduler.start()
-        parts.loop.start()
 
     def _resume_probes(self, previous: Daemon) -> None:
         """Keep what cannot be read again: where logs were, how containers that are disconnected now were connected, and who has sent on

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from phm import api, testing
-from phm.checking.check_turns import CheckRun, ScheduledCheck
+from phm.checking.check_turns import CheckRun, CheckTurns, ScheduledCheck
 from phm.checking.scheduler import CheckScheduler
 from tests.fakes.until import until
 
@@ -230,6 +230,57 @@ def test_a_hung_check_makes_only_its_own_units_stale(rig: Rig) -> None:
     rig.clock.wait_for_sleepers(1, LIMIT_S)
     rig.clock.advance(20.0)
     until(lambda: rig.summaries("hung")[1:] == ["back", "back"], "its next turn")
+
+
+def test_a_wait_for_a_thread_begins_with_the_wake_up(rig: Rig) -> None:
+    """Not with the end of the last run; and another wake-up does not extend it."""
+    engine = rig.start(Scripted(lambda: api.ok("fine")), period_s=20.0, deadline_s=5.0)
+    until(lambda: len(rig.batches) == 1, "the first result")
+    rig.clock.wait_for_sleepers(1, LIMIT_S)
+    rig.clock.advance(10.0)
+    turns = engine.turns[0]
+    turns.wake("pass")  # no thread learns of it
+    engine.report_overdue()
+    assert len(rig.batches) == 1 and engine.overdue() == ()
+    rig.clock.advance(4.0)
+    turns.wake("again")
+    rig.clock.advance(0.9)
+    engine.report_overdue()
+    assert len(rig.batches) == 1
+    rig.clock.advance(0.2)
+    engine.report_overdue()
+    assert rig.batches[-1].overdue and engine.overdue() == ("scripted",)
+    engine.end()
+    engine.report_overdue()
+    assert len(rig.batches) == 2 and engine.overdue() == ()
+
+
+def test_a_check_that_is_taken_while_its_wait_is_reported_is_reported_again(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The report of the wait must not be taken for one of the run."""
+    engine = rig.start(Scripted(lambda: api.ok("fine")), deadline_s=5.0)
+    until(lambda: len(rig.batches) == 1, "the first result")
+    rig.clock.wait_for_sleepers(1, LIMIT_S)
+    rig.clock.advance(10.0)
+    turns, left_s = engine.turns[0], CheckTurns.left_s
+    turns.wake("pass")
+    rig.clock.advance(6.0)
+
+    def taken_meanwhile(self: CheckTurns, now: float) -> float:
+        before = left_s(self, now)
+        self.running_since = now
+        return before
+
+    monkeypatch.setattr(CheckTurns, "left_s", taken_meanwhile)
+    engine.report_overdue()
+    monkeypatch.undo()
+    rig.clock.advance(6.0)
+    engine.report_overdue()
+    assert [batch.units["scripted"].summary for batch in rig.batches[1:]] == [
+        "the check has waited 5 s for a thread",
+        "the check exceeded its deadline of 5 s; it is still running",
+    ]
 
 
 def test_a_defect_behind_the_sink_does_not_end_the_thread(rig: Rig) -> None:

@@ -232,6 +232,30 @@ def test_a_daemon_that_starts_at_the_limit_becomes_complete(
     assert daemon.stop() == ()
 
 
+def test_the_main_loop_does_not_wait_for_room_behind_the_checks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Their threads never end, and without the loop PHM would end itself, after each start."""
+    started: list[str] = []
+    start = threading.Thread.start
+
+    def limited(thread: threading.Thread) -> None:
+        if thread.name.startswith(("phm-check-", "phm-main-loop")):
+            if len(started) == 2:
+                raise RuntimeError("can't start new thread")
+            started.append(thread.name)
+        start(thread)
+
+    daemon = build_daemon(quiet(tmp_path))
+    monkeypatch.setattr(threading.Thread, "start", limited)
+    daemon.start()
+    assert sorted(started) == ["phm-check-1", "phm-main-loop"]
+    until(lambda: daemon.supervise() and daemon.pipeline.complete, "a first report")
+    monkeypatch.undo()
+    threads.retry()
+    daemon.stop()
+
+
 def test_ros_is_started_whatever_the_result_of_joining_a_network(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
