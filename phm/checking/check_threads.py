@@ -63,11 +63,13 @@ class CheckThreads:
         for each in self._workers:
             threads.start(each.thread)
 
-    def wake(self, urgent: Iterable[CheckTurns] = ()) -> None:
-        """Checks have been woken. urgent: those that are looked at first."""
+    def wake(self, woken: Iterable[CheckTurns], reason: str, *, urgent: bool) -> None:
+        """Run these as soon as possible. urgent: before the others."""
         with self._lock:
-            for each in urgent:
-                self._put_first(each)
+            for each in woken:
+                each.wake(reason)
+                if urgent:
+                    self._put_first(each)
         self._wake.set()
         self.relieve(self._clock.mono())
 

@@ -79,7 +79,7 @@ class CheckTurns:
         self._rested = self._clock.mono()
 
     def wake(self, reason: str) -> None:
-        """Run as soon as possible, once for all wake-ups until then."""
+        """Run as soon as possible, once for all wake-ups until then. One caller at a time: `_woken_at` must not go back."""
         self._reason, self._woken_at = reason, self._clock.mono()
         if not self.woken:
             self._waits_since = self._woken_at

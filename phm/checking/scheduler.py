@@ -45,9 +45,7 @@ class CheckScheduler:
         self._wake({id(each): each for unit in units if (each := self._by_unit.get(unit))}.values(), reason)
 
     def _wake(self, woken: Collection[CheckTurns], reason: str) -> None:
-        for each in woken:
-            each.wake(reason)
-        self._threads.wake(() if reason == FOR_REPORT else woken)
+        self._threads.wake(woken, reason, urgent=reason != FOR_REPORT)
 
     def report_overdue(self) -> float:
         """Report checks past their deadline as STALE, once for each run, and continue with the others while one takes long.
@@ -72,7 +70,8 @@ class CheckScheduler:
                 else f"has waited {limit} for a thread"
             )
             result = stale(f"the check {late}")
-            self._sink(CheckRun(dict.fromkeys(each.units, result), now, now - since, "overdue", overdue=True))
+            begun = now if running else since  # the run for which it waits counts from later
+            self._sink(CheckRun(dict.fromkeys(each.units, result), begun, now - since, "overdue", overdue=True))
         return next_s
 
     def overdue(self) -> tuple[str, ...]:

@@ -57,6 +57,7 @@ class Rig:
         self.runs: list[CheckRun] = []
         self.scheduler = scheduler(self.checks, self.clock, self.runs)
         self.scheduler.start()
+        until(lambda: len(self.scheduler._threads._idle) == number - 1, "the threads that wait")
 
     def counts(self) -> list[int]:
         return [len(each.threads) for each in self.checks]
@@ -64,8 +65,18 @@ class Rig:
     def expect(self, *counts: int) -> None:
         """So many runs of a, b and c have begun, and no more are due."""
         until(lambda: self.counts() == list(counts), f"{counts} runs")
+        self.ends()
         self.clock.wait_for_sleepers(1, LIMIT_S)
         assert self.counts() == list(counts)
+
+    def ends(self) -> None:
+        """Wait until no check runs, except those that hang or whose thread has ended."""
+        stuck = {each.title for each in self.checks if not each.free.is_set()}
+        stuck |= {each.units[0] for each in self.scheduler._threads.ended()}
+        until(
+            lambda: all(each.taken_at is None or each.units[0] in stuck for each in self.scheduler.turns),
+            "the end of the runs",
+        )
 
     def next_turn(self) -> None:
         self.clock.wait_for_sleepers(1, LIMIT_S)
@@ -157,15 +168,15 @@ def test_checks_that_an_event_has_woken_are_first() -> None:
             rig.scheduler.wake_units(["t"], "event")
             for _ in range(30):
                 rig.scheduler.wake_units(["a", "c"], "event")
-        rig.clock.advance(0.4 * LONG_S)
+        rig.clock.advance(0.3 * LONG_S)
 
     for each in rig.checks:
         each.during = lambda name=each.title: during(name)  # type: ignore[misc]
     rig.next_turn()
     until(lambda: len(order) >= 22, "a run of each, and of a and c again")
-    assert order[:3] == ["a", "b", "c"]
-    assert order.index("t") <= 5 and order.index("a", 1) <= 8 and order.index("c", 3) <= 10
-    assert places[0] == places[1] == places[2]
+    assert order[:4] == ["a", "b", "c", "t"]
+    assert order.index("a", 1) < 15 and order.index("c", 3) < 15
+    assert len(set(places[:4])) == 1
     assert len(set(places)) > 1  # the look has taken long
     rig.close()
 
@@ -190,6 +201,7 @@ def test_a_check_is_not_taken_again_just_after_its_run(monkeypatch: pytest.Monke
     rig.b.free.set()
     until(lambda: len(rig.runs) >= 3, "the end of all runs")
     go_on.set()
+    assert looked.is_set()
     rig.expect(1, 1, 1)
     rig.close()
 
@@ -205,7 +217,8 @@ def test_a_check_that_took_long_delays_the_others_only_once(hanging: Rig) -> Non
     hanging.expect(2, 2, 2)
     assert hanging.c.threads[-1] != hanging.b.threads[-1]
     hanging.b.free.set()
-    until(lambda: len(hanging.runs) == 6, "the end of the run")
+    until(lambda: len(hanging.runs) == 6, "the result")
+    hanging.ends()
     hanging.clock.advance(LONG_FOR_S)
     hanging.expect(3, 3, 3)
     hanging.b.free.clear()
@@ -225,7 +238,8 @@ def test_a_check_that_is_woken_while_it_runs_runs_again(hanging: Rig) -> None:
     hanging.scheduler.wake_units(["b"], "again")
     hanging.expect(1, 1, 1)
     hanging.b.free.set()
-    until(lambda: len(hanging.runs) == 3, "its end")
+    until(lambda: len(hanging.runs) == 3, "its result")
+    hanging.ends()
     hanging.clock.wait_for_sleepers(1, LIMIT_S)
     hanging.clock.advance(2 * LONG_S)
     hanging.expect(1, 2, 1)

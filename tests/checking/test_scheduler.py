@@ -49,7 +49,16 @@ class Rig:
         engine = CheckScheduler(scheduled, testing.world(), self.clock, self.batches.append)
         self.engines.append(engine)
         engine.start()
+        until(lambda: len(engine._threads._idle) == len(checks) - 1, "the threads that wait")
         return engine
+
+    def between_runs(self) -> None:
+        """Wait until no check runs, and one thread waits for the next turn."""
+        until(
+            lambda: all(each.taken_at is None for engine in self.engines for each in engine.turns),
+            "the end of all runs",
+        )
+        self.clock.wait_for_sleepers(1, LIMIT_S)
 
     def summaries(self, unit: str) -> list[str]:
         return [batch.units[unit].summary for batch in self.batches if unit in batch.units]
@@ -226,8 +235,8 @@ def test_a_hung_check_makes_only_its_own_units_stale(rig: Rig) -> None:
     until(lambda: len(rig.summaries("other")) == 2, "its next turn")
     hung.set()
     until(lambda: rig.summaries("hung")[-1] == "back", "the result of the check that hung")
-    until(lambda: engine.overdue() == (), "the end of its run")
-    rig.clock.wait_for_sleepers(1, LIMIT_S)
+    assert engine.overdue() == ()
+    rig.between_runs()
     rig.clock.advance(20.0)
     until(lambda: rig.summaries("hung")[1:] == ["back", "back"], "its next turn")
 
@@ -250,6 +259,7 @@ def test_a_wait_for_a_thread_begins_with_the_wake_up(rig: Rig) -> None:
     rig.clock.advance(0.2)
     engine.report_overdue()
     assert rig.batches[-1].overdue and engine.overdue() == ("scripted",)
+    assert rig.batches[-1].started == pytest.approx(rig.clock.mono() - 5.1)  # before the result that follows
     engine.end()
     engine.report_overdue()
     assert len(rig.batches) == 2 and engine.overdue() == ()
@@ -259,7 +269,7 @@ def test_a_check_that_is_taken_while_its_wait_is_reported_is_reported_again(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The report of the wait must not be taken for one of the run."""
-    engine = rig.start(Scripted(lambda: api.ok("fine")), deadline_s=5.0)
+    engine = rig.start(Scripted(lambda: api.ok("fine")), period_s=100.0, deadline_s=5.0)
     until(lambda: len(rig.batches) == 1, "the first result")
     rig.clock.wait_for_sleepers(1, LIMIT_S)
     rig.clock.advance(10.0)
