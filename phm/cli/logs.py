@@ -131,7 +131,7 @@ def command(
 
     PATH is a log, its directory, or a folder with the logs of several agents; without it, log.directory of the
     configuration. Rotated and compressed files are included; lines of several agents are in the order of their times.
-    Exit code 0; 1: there is no log, or no flight in it.
+    Exit code 0; 1: there is no log, or nothing in one can be read, or there is no flight in it.
     """
     from phm.logs import log_paths
     from phm.logs.line_filter import LineFilter
@@ -154,6 +154,8 @@ def command(
         return
     finally:
         _close(logs)
+    if any(log.problems() and not log.any_read for log in logs):
+        click.get_current_context().exit(1)
     if not count:
         click.echo("no line matches (regular reports are shown with --reports)", err=True)
 

@@ -34,6 +34,8 @@ class LogReader:
         """Number of lines that are not JSON objects, or are too long."""
         self.damaged: dict[str, str] = {}
         """Why a file could not be read to its end, by its name."""
+        self.any_read = False
+        """Whether there was an event in it."""
         self._alone = alone
         self._stream: IO[bytes] | None = None
         self._plain: IO[bytes] | None = None
@@ -53,6 +55,7 @@ class LogReader:
         for line in self.lines(last=last):
             event = json_log.parse(line)
             if event is not None:
+                self.any_read = True
                 yield event
             elif line.strip(b"\0 \r\n"):
                 self.skipped += 1

@@ -195,6 +195,19 @@ def test_rotated_and_compressed_files_are_read_in_order(tmp_path: Path) -> None:
     assert "phm.jsonl.2.gz: damaged" in result.stderr and "2 lines are incomplete" in result.stderr
 
 
+@pytest.mark.parametrize(("name", "content"), [("phm.jsonl.1.gz", b"damaged"), ("phm.jsonl", b'{"torn":')])
+def test_a_log_of_which_nothing_can_be_read_is_an_error(tmp_path: Path, name: str, content: bytes) -> None:
+    """A script must not take it for a log without events. What is in the other logs is shown."""
+    record(tmp_path / "good", note("of the other"))
+    (tmp_path / "bad").mkdir()
+    (tmp_path / "bad" / name).write_bytes(content)
+    result = logs(tmp_path)
+    assert result.exit_code == 1
+    assert "of the other" in result.stdout and name in result.stderr
+    alone = logs(tmp_path / "bad")
+    assert alone.exit_code == 1 and "no line matches" not in alone.stderr
+
+
 def test_missing_lines_are_shown(tmp_path: Path) -> None:
     """By the numbers of the lines."""
     record(tmp_path, *(note(f"n{number}") for number in range(9)))
