@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
+import weakref
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,37 +17,37 @@ POLL_S = 0.02
 class Record:
     """One agent's `phm.jsonl`, read as it grows. `events` holds everything read so far.
 
-    A file that was rotated away since the last look is read to its end first; one rotation at a time.
+    The file remains open: PHM renames, compresses and deletes it, and what was not read until then is still there.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._offset = 0
-        self._inode: int | None = None
+        self._open: int | None = None
+        self._close: Callable[[], object] = lambda: None
         self.events: list[Event] = []
 
     def update(self) -> None:
         """Read what was added since; an unfinished last line is left for the next time."""
         try:
-            inode = self._path.stat().st_ino
+            there = os.open(self._path, os.O_RDONLY | os.O_CLOEXEC)
         except FileNotFoundError:
+            self._take()
             return
-        if self._inode not in (None, inode):
-            self._take(self._path.with_name(f"{self._path.name}.1"), self._inode)
-            self._offset = 0
-        self._inode = inode
-        self._take(self._path, inode)
+        if self._open is not None and os.path.sameopenfile(there, self._open):
+            os.close(there)
+            self._take()
+            return
+        self._take()  # what is left of the former file
+        self._close()
+        self._open, self._offset = there, 0
+        self._close = weakref.finalize(self, os.close, there)
+        self._take()
 
-    def _take(self, path: Path, inode: int | None) -> None:
-        """What is new in the file, if it still is the one that is meant: else it has been rotated meanwhile."""
-        try:
-            with path.open("rb") as stream:
-                if os.fstat(stream.fileno()).st_ino != inode:
-                    return
-                stream.seek(self._offset)
-                data = stream.read()
-        except FileNotFoundError:
+    def _take(self) -> None:
+        if self._open is None:
             return
+        data = os.pread(self._open, max(0, os.fstat(self._open).st_size - self._offset), self._offset)
         whole = data.rfind(b"\n") + 1
         self._offset += whole
         for line in data[:whole].splitlines():

@@ -60,6 +60,21 @@ def test_a_rotated_record_is_read_on(tmp_path: Path) -> None:
     assert [event["number"] for event in record.events] == [1, 2, 3]
 
 
+def test_a_record_that_was_rotated_and_compressed_meanwhile_loses_nothing(tmp_path: Path) -> None:
+    """PHM compresses a rotated file within a second, and removes the original. A fault's end was lost so."""
+    file = tmp_path / "phm.jsonl"
+    file.write_text(line(1))
+    record = Record(file)
+    record.update()
+    for number in (2, 4):
+        with file.open("a") as stream:
+            stream.write(line(number))
+        file.unlink()
+        file.write_text(line(number + 1))
+        record.update()
+    assert [event["number"] for event in record.events] == [1, 2, 3, 4, 5]
+
+
 def test_waiting_considers_only_later_events(tmp_path: Path) -> None:
     """An event from before the mark does not count; one that is written while waiting does."""
     file = tmp_path / "phm.jsonl"
