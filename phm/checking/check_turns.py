@@ -71,7 +71,7 @@ class CheckTurns:
         """Since when a thread runs it, with the delivery of its results; None: no thread does."""
         self.stopping = False
         self.running_since: float | None = None
-        self.overdue_reported: object = None
+        self.overdue_reported: tuple[bool, float] | None = None
         """The `owed` that was reported as overdue last."""
 
     def start(self) -> None:

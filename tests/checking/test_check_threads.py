@@ -6,7 +6,7 @@ import random
 import string
 import sys
 import threading
-import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -14,7 +14,7 @@ import pytest
 from phm import api, testing
 from phm.checking.check_turns import LONG_FOR_S, LONG_S, CheckRun, CheckTurns, ScheduledCheck
 from phm.checking.scheduler import CheckScheduler
-from phm.core.clock import Clock, SystemClock
+from phm.core.clock import Clock
 from tests.fakes.until import until
 
 LIMIT_S = 60.0
@@ -185,23 +185,24 @@ def test_a_check_is_not_taken_again_just_after_its_run(monkeypatch: pytest.Monke
     """Another thread looks at it in the moment in which its run ends."""
     rig = Rig("b")
     until(lambda: rig.counts() == [1, 1, 0], "the run that waits")
+    turns, lock = rig.scheduler.turns[1], rig.scheduler._threads._lock
     due = CheckTurns.__dict__["due"].fget
-    looked, go_on = threading.Event(), threading.Event()
+    looked = threading.Event()
 
-    def pause(turns: CheckTurns) -> float:
-        before: float = due(turns)
-        if turns.units == ("b",) and threading.current_thread().name.startswith("phm-check-") and not looked.is_set():
+    def run_ends_meanwhile(self: CheckTurns) -> float:
+        before: float = due(self)
+        if self is turns and threading.current_thread().name.startswith("phm-check-") and not looked.is_set():
             looked.set()
-            go_on.wait(1.0)
+            rig.b.free.set()
+            until(lambda: len(rig.runs) >= 2 and (turns.taken_at is None or lock.locked()), "the end of the run")
         return before
 
-    monkeypatch.setattr(CheckTurns, "due", property(pause))
+    monkeypatch.setattr(CheckTurns, "due", property(run_ends_meanwhile))
     rig.clock.advance(2 * LONG_S)
     rig.scheduler.report_overdue()
+    until(lambda: rig.counts()[2] == 1, "another thread, which then looks at b")
+    rig.clock.wait_for_sleepers(1, LIMIT_S)
     rig.b.free.set()
-    until(lambda: len(rig.runs) >= 3, "the end of all runs")
-    go_on.set()
-    assert looked.is_set()
     rig.expect(1, 1, 1)
     rig.close()
 
@@ -224,9 +225,8 @@ def test_a_check_that_took_long_delays_the_others_only_once(hanging: Rig) -> Non
     hanging.b.free.clear()
     hanging.next_turn()
     until(lambda: len(hanging.b.threads) == 4, "the run that waits")
-    assert hanging.scheduler.report_overdue() == pytest.approx(
-        LONG_S
-    )  # its thread is the one that looks for the next turn
+    # Its thread is the one that looks for the next turn.
+    assert hanging.scheduler.report_overdue() == pytest.approx(LONG_S)
 
 
 def test_a_check_that_is_woken_while_it_runs_runs_again(hanging: Rig) -> None:
@@ -281,40 +281,48 @@ def test_a_thread_that_ends_stops_only_its_check(monkeypatch: pytest.MonkeyPatch
 
 def test_no_check_runs_twice_at_a_time_and_none_is_forgotten() -> None:
     """Checks of every length, woken at any moment by several threads."""
-    chance, ending = random.Random(20), threading.Event()
-    running: dict[str, int] = {}
+    chance, clock, never = random.Random(20), testing.FakeClock(), threading.Event()
+    running: Counter[str] = Counter()
     twice: list[str] = []
 
-    class Random(Listed):
+    class Lasting(Listed):
         def run(self, world: api.World) -> api.Result:
-            running[self.title] = running.get(self.title, 0) + 1
+            running[self.title] += 1
             if running[self.title] > 1:
                 twice.append(self.title)
-            time.sleep(chance.choice((0.0, 0.0, 0.0, 0.001, 0.02, 2 * LONG_S)))
+            clock.wait(never, chance.choice((0.0, 0.0, 0.0, 0.001, 0.02, 2 * LONG_S)))
             running[self.title] -= 1
             return super().run(world)
 
-    checks: list[Listed] = [Random(name) for name in "abcdefgh"]
-    runs: list[CheckRun] = []
-    engine = scheduler(checks, SystemClock(), runs)
+    checks: list[Listed] = [Lasting(name) for name in "abcdefgh"]
+    engine = scheduler(checks, clock, [])
 
     def wake() -> None:
-        while not ending.is_set():
+        for _ in range(500):
             engine.wake_units([chance.choice(checks).title], "test")
             engine.report_overdue()
-            time.sleep(chance.uniform(0.0, 0.01))
+
+    def step() -> None:
+        engine.wake_units([chance.choice(checks).title], "test")
+        engine.report_overdue()
+        clock.advance(chance.uniform(0.0, 0.02))
 
     engine.start()
     wakers = [threading.Thread(target=wake) for _ in range(3)]
     for each in wakers:
         each.start()
-    until(lambda: all(len(each.threads) >= 20 for each in checks), "20 runs of each check")
-    ending.set()
+    until(lambda: all(len(each.threads) >= 20 for each in checks), "20 runs of each check", step=step)
     for each in wakers:
         each.join()
     before = [len(each.threads) for each in checks]
     engine.wake_units("abcdefgh", "last")
-    until(lambda: all(len(each.threads) > n for each, n in zip(checks, before, strict=True)), "one more run of each")
+    until(
+        lambda: all(len(each.threads) > n for each, n in zip(checks, before, strict=True)),
+        "one more run of each",
+        step=lambda: clock.advance(0.01),
+    )
+    engine.end()
+    clock.advance(1000)
     engine.stop(LIMIT_S)
     assert twice == []
     assert not [each for each in threading.enumerate() if each.name.startswith("phm-check-")]
