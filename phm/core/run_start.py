@@ -30,8 +30,8 @@ def counting_from(since: float) -> Iterator[None]:
 
 
 def oldest(subject: Hashable, now: float) -> float:
-    """How old a reading of `subject` may be, in monotonic seconds. Only the first time in a run it may be from before now: a check
-    that asks again wants to know what has changed."""
+    """The moment (monotonic seconds) from which on a reading of `subject` is new enough. Only the first time in a run it is before
+    `now`: a check that asks again wants to know what has changed."""
     if _run.since is None or subject in _run.asked:
         return now
     _run.asked |= {subject}

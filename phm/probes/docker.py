@@ -155,8 +155,8 @@ class Docker:
     def _shared(
         self, key: str, ask: Callable[[TimeBudget], ContainerFact | None], young_s: float
     ) -> ContainerFact | None:
-        """The response to a request that was made at most `young_s` before this call, or later. In the run of a check, the first time:
-        before the moment from which its results count.
+        """The response to a request that was made at most `young_s` before this call, or later. For the first call in the run of a
+        check, the moment from which its results count takes the place of the call (`phm.core.run_start`).
 
         Threads that wait while another one asks share its next response.
         """
