@@ -14,6 +14,7 @@ from rich.console import Console
 from sitl.campaign import fault_rows
 from sitl.campaign.busy import BusyLoad
 from sitl.campaign.differences import of_swarm
+from sitl.campaign.kept_logs import folder_of, keep
 from sitl.campaign.pacing import first_ready
 from sitl.campaign.plan import TrialPlan
 from sitl.campaign.runner import NotOk, Runner
@@ -136,6 +137,8 @@ class _Sequence:
         if trial.kind == TRIAL:
             self._took.append(trial.seconds)
             self._show(trial)
+        if kept := keep(folder_of(self._file), judge(trial), self._runner.watch.events):
+            self._progress(f"  PHM's logs: {kept}")
 
     def _left_min(self) -> float:
         made = len([each for each in self._done if each[1] == TRIAL])

@@ -11,7 +11,7 @@ from sitl.campaign.application_watcher import ApplicationWatcher
 from sitl.campaign.event_collector import Levels, note
 from sitl.campaign.machine_load import MachineMeter
 from sitl.campaign.trial import Line, Trial
-from sitl.harness.log_follower import Record
+from sitl.harness.log_follower import Event, Record
 from sitl.simulation.ground import Ground
 from sitl.swarm.swarm import SwarmAgent
 
@@ -73,6 +73,8 @@ class SwarmWatcher:
         self._records = {number: Record(agent.record) for number, agent in agents.items()}
         self.levels = {number: Levels(busy=busy) for number in agents}
         self.usual: dict[int, dict[str, str]] = {number: {} for number in agents}
+        self.events: dict[int, list[Event]] = {number: [] for number in agents}
+        """Each agent's events of the trial, the last one if none runs."""
         self._trial: Trial | None = None
         self.machine = MachineMeter()
         self.applications = ApplicationWatcher(agents)
@@ -91,6 +93,8 @@ class SwarmWatcher:
         self.ground.begin()
         self.machine.begin()
         self.applications.begin()
+        for events in self.events.values():
+            events.clear()
         self._trial = trial
 
     def end(self) -> None:
@@ -110,6 +114,7 @@ class SwarmWatcher:
             for event in events:
                 self.levels[agent].take(event)
                 if self._trial is not None and event["mono"] >= self._trial.began:
+                    self.events[agent].append(event)
                     note(self._trial, agent, event)
 
     def learn(self) -> None:

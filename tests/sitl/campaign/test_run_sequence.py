@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -17,7 +18,7 @@ from sitl.campaign.progress import left
 from sitl.campaign.runner import NotOk
 from sitl.campaign.schedule import schedule
 from sitl.campaign.trial import ABORTED, NOMINAL, OFF, TRIAL, Trial, load
-from tests.fakes.campaign_trials import injection, trial
+from tests.fakes.campaign_trials import alarm, injection, trial
 
 WORDS = ["--commit", "0123456789" * 4, "--trials", "2", "--seeds", "2"]
 
@@ -31,6 +32,7 @@ class Runner:
         self.setting: dict[str, Any] = {}
         self.on_end: Callable[[Trial], None] = lambda trial: None
         self._left = stop_at
+        self.watch = SimpleNamespace(events={})
         self.waits: dict[int, float] = {}
 
     def ready_at(self, draws: Sequence[Draw]) -> float:
@@ -146,6 +148,29 @@ def test_a_trial_is_recorded_before_the_swarm_is_made_ready_again(tmp_path: Path
         run(file, Failing())
     assert [(each.kind, each.number) for each in load(file)] == [(NOMINAL, 0), (OFF, 0), (TRIAL, 1)]
     assert "trial 1 of 2" not in "".join(run(file, Runner())[1]).partition("seed 2 of 2")[0]
+
+
+def test_the_logs_of_agents_with_a_problem_are_kept(tmp_path: Path) -> None:
+    """Beside the record: of an agent with a missed fault, and of another one with a false alarm. Not of the others, and
+    nothing of a trial without a problem.
+    """
+
+    class Missing(Runner):
+        def trial(self, plan: TrialPlan) -> Trial:
+            bad = plan.number == 2
+            self.watch.events = {agent: [{"event": "report", "agent": agent}] for agent in (3, 4, 5)}
+            seen = [alarm(0.4)] if not bad else [alarm(0.4, "nodes/agent_5/node_1", 5)]
+            return self._made(TRIAL, plan.number, injections=[injection()], alarms=seen)
+
+    file = tmp_path / "trials.jsonl"
+    said = run(file, Missing(), "--seeds", "1")[1]
+    kept = tmp_path / "trials-logs" / "shipped-quiet-seed-1-trial-2"
+    assert sorted(each for each in (tmp_path / "trials-logs").rglob("*") if each.is_file()) == [
+        kept / "A03" / "phm.jsonl",
+        kept / "A05" / "phm.jsonl",
+    ]
+    assert (kept / "A05" / "phm.jsonl").read_text() == '{"event": "report", "agent": 5}\n'
+    assert said[-1] == f"  PHM's logs: {kept}"
 
 
 def test_an_aborted_run_is_recorded_and_counted(tmp_path: Path) -> None:

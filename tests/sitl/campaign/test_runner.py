@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -117,6 +118,25 @@ def test_an_aborted_run_has_what_was_observed(runner: Runner, monkeypatch: pytes
     early = runner.aborted("trial", 5, NotOk("not OK"))
     assert (early.number, early.aborted, early.injections) == (5, "trial: NotOk: not OK", [])
     assert early.setting == {"seed": 7}
+
+
+def test_the_events_of_the_last_trial_are_kept(runner: Runner, tmp_path: Path) -> None:
+    """Those of its time alone, by agent, until the next one begins: the campaign keeps them if the trial has a problem."""
+
+    def log(*moments: float) -> None:
+        lines = [json.dumps({"event": "received", "mono": moment}) + "\n" for moment in moments]
+        with (tmp_path / "phm.jsonl").open("a") as file:
+            file.writelines(lines)
+
+    log(time.monotonic())
+    first = runner._begin("trial", 1)
+    log(first.began - 1, first.began + 1)
+    runner._end(first, healthy=True)
+    log(first.began + 2)
+    runner.watch.update()
+    assert runner.watch.events == {1: [{"event": "received", "mono": first.began + 1}]}
+    runner._begin("trial", 2)
+    assert runner.watch.events == {1: []}
 
 
 def test_a_trial_has_what_was_recorded_only_after_the_fault(runner: Runner, monkeypatch: pytest.MonkeyPatch) -> None:
