@@ -36,6 +36,8 @@ class _Unit:
     changes: deque[tuple[float, Severity]] = field(default_factory=lambda: deque(maxlen=MANY))
     severity: Severity | None = None
     """Of the newest line, also if that was suppressed."""
+    begun: bool = False
+    """The next line is of a new fault."""
     worst: Severity = Severity.INFO
     """Of the lines sent since it began to flap."""
     held: StatusTextLine | None = None
@@ -58,7 +60,7 @@ class FlapDamper:
     def begin_failure(self, key: str) -> None:
         """The next line about this unit is of a new fault, whatever its severity. The end of the one before may have had no line."""
         if (unit := self._units.get(key)) is not None:
-            unit.severity = None
+            unit.begun = True
 
     def settled(
         self, now: float, still_true: Callable[[StatusTextLine], bool] = lambda line: True
@@ -87,7 +89,8 @@ class FlapDamper:
     def _pass(self, line: StatusTextLine, now: float, flapping: str) -> StatusTextLine | None:
         unit = self._unit(line.key, now)
         before, unit.severity = unit.severity, line.severity
-        changed = self._every_line or line.severity != before
+        begun, unit.begun = unit.begun and line.severity <= Severity.WARNING, False
+        changed = self._every_line or begun or line.severity != before
         if changed:
             unit.changes.append((now, line.severity))
             unit.texts_sent = 0
@@ -95,7 +98,7 @@ class FlapDamper:
             unit.held = line
             return None
         # A worsening is not replaced by a warning: suppression begins with the next line.
-        worse = before is not None and line.severity < before
+        worse = begun or (before is not None and line.severity < before)
         if changed and not unit.flaps and not worse and _flaps(unit, now):
             unit.flaps, unit.held = True, line
             unit.worst = min(severity for _, severity in unit.changes)

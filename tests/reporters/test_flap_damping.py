@@ -172,6 +172,20 @@ def test_a_worsening_is_sent_and_not_replaced_by_a_warning() -> None:
     assert [one.text for one in damper.settled(now + 5 + CALM_S)] == ["NOTICE"]
 
 
+def test_a_failure_of_a_unit_that_flaps_is_not_sent_as_a_warning() -> None:
+    """Of a unit of PHM, whose faults begin before their first line: only a recovery begins the suppression."""
+    scene = Scene(refresh=600).running()
+    for _ in range(3):
+        scene.become("nodes/a", Level.ERROR, "a dead")
+        scene.pass_time(15.0)
+        scene.become("nodes/a", Level.OK)
+        scene.pass_time(9.0)
+    scene.become("nodes/a", Level.ERROR, "a dead")
+    assert scene.port.lines()[-1] == (2, "A01 FAIL 6 a dead"), "the sixth change within a minute"
+    scene.become("nodes/a", Level.OK)
+    assert scene.port.lines()[-1] == (4, FLAPPING)
+
+
 def test_changed_texts_do_not_prolong_the_suppression() -> None:
     """The unit has failed for CALM_S: its newest text is sent."""
     damper = FlapDamper()
