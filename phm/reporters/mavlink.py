@@ -20,6 +20,7 @@ from phm.core.model import (
     UnitState,
     worst_by_slot,
 )
+from phm.core.rate_limiter import TokenBucket
 from phm.reporters.base import MavlinkSender, Reporter, ReporterContext
 from phm.reporters.flap_damping import FlapDamper
 from phm.reporters.gcs_presence import GcsPresence
@@ -34,6 +35,9 @@ PEERS = "peers/"
 """Units about other agents."""
 FULL_EVERY_S = 5.0
 """Ground stations that come and go have the full state sent again at most this often."""
+FULL_BURST = 3
+"""Full states that may follow each other like this. Then one is sent in the period of the refresh: a sender that uses one system id
+after another must not fill the link with them."""
 AGAIN_S = (0.7, 2.0, 4.0)
 """After a change while the radio is bad its line may be lost, so refreshes follow after these times; they are not spoken."""
 SPREAD_S = 0.02
@@ -62,7 +66,7 @@ class MavlinkReporter(Reporter):
         self._refresh_at: float | None = None
         self._again: tuple[float, ...] = ()
         self._full_at: float | None = None
-        self._last_full = float("-inf")
+        self._last_full, self._full_room = float("-inf"), TokenBucket(FULL_BURST, now)
         self._left_to_leader: dict[str, tuple[StatusTextLine, float]] = {}
         """By key, the newest line about another agent that only the leader sends, and when."""
         self._stations = GcsPresence(self._agent, self._settings.gcs_timeout)
@@ -92,17 +96,16 @@ class MavlinkReporter(Reporter):
         now = self._context.clock.mono()
         self._say(self._damper.settled(now, self._still_true))
         self._take_over(now)
-        by_size_s = default_periods(self._port.agents)
         if self._context.alive():
             if now >= self._heartbeat_at:
-                self._heartbeat_at = _next(self._heartbeat_at, self._settings.heartbeat or by_size_s[0], now)
+                self._heartbeat_at = _next(self._heartbeat_at, self._heartbeat_s(), now)
                 self._heartbeat()
-            if self._full_at is not None and now >= self._full_at:
+            if self._full_at is not None and now >= self._full_at and self._full_allowed(now):
                 self._full_at, self._last_full = None, now
                 self._heartbeat()
                 self._say(self._builder.full(self._context.states()))
             elif self._refresh_at is not None and now >= self._refresh_at:
-                self._refresh_at = _next(self._refresh_at, self._settings.refresh or by_size_s[1], now)
+                self._refresh_at = _next(self._refresh_at, self._refresh_s(), now)
                 states = self._context.states()
                 self._say([*self._builder.reconcile(states), self._builder.refresh(states)])
             elif self._again and now >= self._again[0]:
@@ -118,8 +121,19 @@ class MavlinkReporter(Reporter):
 
     def gcs_appeared(self) -> None:
         """Send the full state soon: a new ground station has received nothing yet."""
-        soon = self._context.clock.mono() + SPREAD_S * self._agent
-        self._full_at = max(soon, self._last_full + FULL_EVERY_S)
+        if self._full_at is None:
+            soon = self._context.clock.mono() + SPREAD_S * self._agent
+            self._full_at = max(soon, self._last_full + FULL_EVERY_S)
+
+    def _full_allowed(self, now: float) -> bool:
+        self._full_room.refill(now, 1 / self._refresh_s(), FULL_BURST)
+        return self._full_room.take()
+
+    def _heartbeat_s(self) -> float:
+        return self._settings.heartbeat or default_periods(self._port.agents)[0]
+
+    def _refresh_s(self) -> float:
+        return self._settings.refresh or default_periods(self._port.agents)[1]
 
     def _receive(self, message: Any, link: str) -> None:
         """A HEARTBEAT, in an endpoint's thread."""
@@ -153,7 +167,7 @@ class MavlinkReporter(Reporter):
         """As the new leader, send what the last one may not have sent before it or its radio failed; the rest would be a
         repetition.
         """
-        heartbeat_s = self._settings.heartbeat or default_periods(self._port.agents)[0]
+        heartbeat_s = self._heartbeat_s()
         missed_s = max(MISSED_HEARTBEATS * heartbeat_s, self._settings.gcs_timeout + heartbeat_s)
         recent = {key: (line, at) for key, (line, at) in self._left_to_leader.items() if now - at <= missed_s}
         self._left_to_leader = recent

@@ -6,9 +6,11 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from typing import Any, ClassVar
 
 from phm.core.model import Event, worst_by_slot
+from phm.core.rate_limiter import TokenBucket
 from phm.facts.swarm import SwarmFact, SwarmProbe
 from phm.reporters.base import MavlinkSender, Reporter, ReporterContext
 from phm.reporters.flap_damping import FlapDamper
@@ -30,6 +32,9 @@ TUNNEL_BYTES = 128
 MISSED_HEARTBEATS = 6
 """The loss of a leader is detected after five of its heartbeats: it may not have reported changes within them."""
 RELAY = "relay "
+REPEATS = 3
+"""How often the lines may be repeated one after another for new ground stations. Then once in the period of the refresh: a sender that
+uses one system id after another must not fill the link."""
 
 
 class SwarmReporter(Reporter):
@@ -46,12 +51,13 @@ class SwarmReporter(Reporter):
         self._viewed: object = None
         self._again = False
         self._view_at = float("-inf")
-        self._sent_line, self._line_at = "", float("-inf")
+        self._sent_line, self._line_at, self._line_again = "", float("-inf"), False
         self._relayed: dict[int, tuple[object, float]] = {}
         """The report sent for each agent that cannot reach the ground, by this or another leader, and when it became so."""
         self._spoke, self._damper = False, FlapDamper(every_line=True)
         self._stations = GcsPresence(self._agent, self._settings.gcs_timeout)
         self._appeared = threading.Event()
+        self._repeats, self._repeating = TokenBucket(REPEATS, context.clock.mono()), False
         port.listen(self._receive, (mavlink.MAVLINK_MSG_ID_HEARTBEAT,))
 
     @classmethod
@@ -71,13 +77,15 @@ class SwarmReporter(Reporter):
             return
         self._view(fact, now)
         leads = fact.leader == self._agent
-        if leads and self._appeared.is_set():
-            self._sent_line, self._relayed = "", {}
+        self._repeating = leads and self._appeared.is_set() and self._may_repeat(now)
+        if self._repeating:
+            self._line_again, self._relayed = True, {}
         elif leads and not self._spoke:
             # Send what the last leader may not have sent before it was lost; the rest would be a repetition.
             missed_s = MISSED_HEARTBEATS * self._heartbeat_s()
             self._relayed = {agent: sent for agent, sent in self._relayed.items() if now - sent[1] > missed_s}
-        self._appeared.clear()
+        if self._repeating or not leads:
+            self._appeared.clear()
         self._spoke = leads
         if leads:
             self._speak(fact, now)
@@ -92,6 +100,13 @@ class SwarmReporter(Reporter):
 
     def _heartbeat_s(self) -> float:
         return self._settings.heartbeat or default_periods(self._port.agents)[0]
+
+    def _refresh_s(self) -> float:
+        return self._settings.refresh or default_periods(self._port.agents)[1]
+
+    def _may_repeat(self, now: float) -> bool:
+        self._repeats.refill(now, 1 / self._refresh_s(), REPEATS)
+        return self._repeats.take()
 
     # ------------------------------------------------------------ to the agents
 
@@ -123,17 +138,18 @@ class SwarmReporter(Reporter):
         levels = digest.member_levels(agreed, word, fact.no_gcs)
         self._send_lines(self._relay(fact, now), fact, now)
         line = digest.digest_line(levels)
-        refresh_s = self._settings.refresh or default_periods(self._port.agents)[1]
+        refresh_s = self._refresh_s()
         since_s = now - self._line_at
-        if since_s < CALM_S or (line == self._sent_line and since_s < refresh_s):
+        if since_s < CALM_S or (line == self._sent_line and not self._line_again and since_s < refresh_s):
             return
-        changed = line != self._sent_line
-        self._sent_line, self._line_at = line, now
+        same_kind = MessagePriority.STATE if self._line_again else MessagePriority.REFRESH
+        kind = same_kind if line == self._sent_line else MessagePriority.TRANSITION
+        self._sent_line, self._line_at, self._line_again = line, now, False
         self._port.send(
             _tunnel(tunnel.encode(digest.swarm_digest(agreed, levels))), MessagePriority.SWARM, key="digest"
         )
         # INFO is shown and not spoken: each agent reports its own failures, and the leader's check the lost agents.
-        self._say(line, Severity.INFO, "swarm line", MessagePriority.TRANSITION if changed else MessagePriority.REFRESH)
+        self._say(line, Severity.INFO, "swarm line", kind)
 
     def _relay(self, fact: SwarmFact, now: float) -> list[StatusTextLine]:
         """The reports for agents that cannot reach the ground, once for each change."""
@@ -152,10 +168,11 @@ class SwarmReporter(Reporter):
         return lines
 
     def _send_lines(self, lines: list[StatusTextLine], fact: SwarmFact, now: float) -> None:
-        """Send these lines, unless their agent flaps; then its last line when it is stable."""
+        """Send these lines, unless their agent flaps; then its last line when it is stable. Repetitions are not changes."""
         keys = {f"{RELAY}{agent}" for agent in fact.no_gcs}
         passed = [line for line in self._damper.settled(now) if line.key in keys]
-        for line in lines:
+        passed += [replace(line, kind=MessagePriority.STATE) for line in lines if self._repeating]
+        for line in lines if not self._repeating else ():
             passed += self._damper.filter([line], now, digest.flapping_line(int(line.key.removeprefix(RELAY))))
         for line in passed:
             self._say(line.text, line.severity, line.key, line.kind)

@@ -92,6 +92,21 @@ def test_a_new_ground_station_receives_relayed_agents_again() -> None:
     assert fleet.lines(4) == ["A03 no GCS radio, received by A01 A02 A04: OK"]
 
 
+def test_stations_that_appear_all_the_time_do_not_fill_the_leaders_link() -> None:
+    """Their lines would be changes, which leave no room for those of a fault. They are no sign that an agent flaps."""
+    fleet = Fleet(4)
+    fleet.no_gcs = {3}
+    fleet.run(60)
+    fleet.lines()
+    before = fleet.agents[1].port.sent_keys["swarm line"]
+    for number in range(300):
+        hello = Sender(200 + number % 50, 190).received(heartbeat(kind=mavlink.MAV_TYPE_GCS))
+        fleet.agents[1].port.receive([hello])
+        fleet.run(1)
+    assert fleet.agents[1].port.sent_keys["swarm line"] - before < 70
+    assert set(fleet.lines(5)) == {"A03 no GCS radio, received by A01 A02 A04: OK"}
+
+
 def test_an_agent_at_the_edge_of_radio_range_is_not_reported_each_time() -> None:
     """It loses and regains the ground every 15 s, and fails and recovers meanwhile."""
     fleet = Fleet(4)
