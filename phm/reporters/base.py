@@ -7,7 +7,7 @@ destination delays no other; when the queue is full, its oldest event is dropped
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Set
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
@@ -43,11 +43,17 @@ class MavlinkSender(Protocol):
         key: str = "",
         urgency: int = 0,
         link: str = "",
+        only_while: tuple[str, ...] = (),
     ) -> None:
         """Queue one unpacked pymavlink message for every endpoint, or for the one named `link`; never blocks.
 
         What leaves first within a link's budget follows from kind, then urgency. A newer message with the same `key`
-        replaces this one while it waits.
+        replaces this one while it waits. With `only_while` it waits until all of these are true.
+        """
+
+    def set_true(self, owner: str, names: Set[str]) -> None:
+        """What is true now according to this owner, in place of what it said before: messages that wait for a link's budget may
+        have become untrue.
         """
 
     def links(self) -> tuple[LinkFact, ...]: ...

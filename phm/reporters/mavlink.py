@@ -24,8 +24,8 @@ from phm.core.rate_limiter import TokenBucket
 from phm.reporters.base import MavlinkSender, Reporter, ReporterContext
 from phm.reporters.flap_damping import FlapDamper
 from phm.reporters.gcs_presence import GcsPresence
-from phm.reporters.statustext import StatusTextBuilder, StatusTextLine
-from phm.reporters.swarm import MISSED_HEARTBEATS
+from phm.reporters.statustext import StatusTextBuilder, StatusTextLine, is_asked, is_bad
+from phm.reporters.swarm import MISSED_HEARTBEATS, SPEAKS
 from phm.transport.dialect import mavlink
 from phm.transport.priority import MessagePriority, default_periods
 from phm.wire import status_line, status_word
@@ -90,6 +90,7 @@ class MavlinkReporter(Reporter):
             self._say(self._builder.hold(event))
         elif isinstance(event, Report) and self._refresh_at is None:
             self._refresh_at = self._context.clock.mono()
+        self._set_true()
 
     def tick(self) -> None:
         """Send heartbeat, refresh and the full state when due, while the check scheduler runs."""
@@ -111,6 +112,7 @@ class MavlinkReporter(Reporter):
             elif self._again and now >= self._again[0]:
                 self._again = self._again[1:]
                 self._say_again()
+        self._set_true()
 
     def close(self) -> None:
         """Send a last heartbeat with POWEROFF: a planned end is not a failure."""
@@ -174,17 +176,25 @@ class MavlinkReporter(Reporter):
         if recent and self._leads():
             self._say([line for line, _ in recent.values()])
 
+    def _set_true(self) -> None:
+        """Lines that wait for a link's budget are sent only while they are true. After new lines: they replace outdated ones."""
+        names = {is_bad(state.unit) for state in self._context.states() if state.level.bad}
+        names |= {is_asked(unit) for unit in self._builder.asked()}
+        self._port.set_true(self.name, names)
+
     def _say(self, lines: list[StatusTextLine]) -> None:
         for line in lines:
+            only_while = line.only_while
             if line.key.startswith(PEERS):
                 if not self._leads():
                     self._left_to_leader[line.key] = (line, self._context.clock.mono())
                     continue
                 self._left_to_leader.pop(line.key, None)
+                only_while = (*only_while, *([SPEAKS] if self._context.swarm is not None else []))
             message = mavlink.MAVLink_statustext_message(int(line.severity), line.text.encode("ascii"))
             # A text that was limited takes turns with the refresh line, which would otherwise wait for it without an end.
             urgency = Severity.INFO if line.kind is MessagePriority.REFRESH else line.severity
-            self._port.send(message, line.kind, key=line.key, urgency=int(urgency))
+            self._port.send(message, line.kind, key=line.key, urgency=int(urgency), only_while=only_while)
 
     def _heartbeat(self) -> None:
         states = self._context.states()

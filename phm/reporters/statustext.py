@@ -6,7 +6,7 @@ what was sent.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 from phm.core.model import (
@@ -38,6 +38,18 @@ class StatusTextLine:
     severity: Severity
     text: str
     kind: MessagePriority = MessagePriority.TRANSITION
+    only_while: tuple[str, ...] = ()
+    """While it waits for a link's budget, it is sent only if all of these are true."""
+
+
+def is_bad(unit: str) -> str:
+    """A failure is true while its unit is bad: it may be unknown, on hold or a consequence of another fault by now."""
+    return f"bad {unit}"
+
+
+def is_asked(unit: str) -> str:
+    """A request is true until it is answered or the fault of its unit has ended."""
+    return f"asked {unit}"
 
 
 class StatusTextBuilder:
@@ -106,9 +118,13 @@ class StatusTextBuilder:
             return [self._ask(event.unit, StatusTextLine(key, status_line.severity(Level.ERROR, state.slot), text))]
         return []
 
+    def asked(self) -> Set[str]:
+        """The units with a request to the operator that is not answered."""
+        return self._asks.keys()
+
     def _ask(self, unit: str, line: StatusTextLine) -> StatusTextLine:
-        self._asks[unit] = line
-        return line
+        self._asks[unit] = replace(line, only_while=(is_asked(unit),))
+        return self._asks[unit]
 
     def _asked(self, event: ActionEvent, state: UnitState, key: str) -> list[StatusTextLine]:
         """The result of an operator's request without a fault; its beginning was acknowledged."""
@@ -152,7 +168,8 @@ class StatusTextBuilder:
         self._sent[state.unit] = (state, text)
         if sent is not None and sent[1] == text:
             return []
-        return [StatusTextLine(state.unit, status_line.severity(state.level, state.slot), text)]
+        severity = status_line.severity(state.level, state.slot)
+        return [StatusTextLine(state.unit, severity, text, only_while=(is_bad(state.unit),))]
 
     def _over(self, unit: str, by: str) -> list[StatusTextLine]:
         self._asks.pop(unit, None)

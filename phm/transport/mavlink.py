@@ -7,7 +7,7 @@ delays no other.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Set
 from dataclasses import asdict
 from typing import Any
 
@@ -50,6 +50,7 @@ class MavlinkHub:
         self._heartbeat_sent: Callable[[int], None] | None = None
         self._errors = 0
         self._agents = 1
+        self._true: dict[str, Set[str]] = {}
         self._endpoints = tuple(
             Endpoint(
                 entry,
@@ -113,17 +114,26 @@ class MavlinkHub:
         key: str = "",
         urgency: int = 0,
         link: str = "",
+        only_while: tuple[str, ...] = (),
     ) -> None:
         """Queue one unpacked message for every endpoint, or for the one named `link`; never blocks. An endpoint that leads only
         to other agents gets just HEARTBEATs unless it is named: agents read no other broadcast.
 
         kind, urgency: what leaves first where the link's budget makes others wait. key: a newer message with the same
-        key replaces this one while it waits. HEARTBEATs leave immediately. The caller must not change the message after.
+        key replaces this one while it waits. only_while: it waits until all of these are true (`set_true`). HEARTBEATs leave
+        immediately. The caller must not change the message after.
         """
         for endpoint in self._endpoints:
             for_all = not link and (not endpoint.to_peers or message.get_msgId() == HEARTBEAT)
             if for_all or link == endpoint.name:
-                endpoint.send(message, kind, key, urgency)
+                endpoint.send(message, kind, key, urgency, only_while)
+
+    def set_true(self, owner: str, names: Set[str]) -> None:
+        """What is true now according to this owner, in place of what it said before."""
+        if self._true.get(owner) != names:
+            self._true[owner] = names
+            for endpoint in self._endpoints:
+                endpoint.set_true(owner, names)
 
     @property
     def agents(self) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from typing import Any
 
 from phm.core import polling, threads
@@ -72,10 +72,18 @@ class Endpoint:
     def start(self) -> None:
         threads.start(self._thread)
 
-    def send(self, message: Any, kind: MessagePriority, key: str, urgency: int) -> None:
+    def send(
+        self, message: Any, kind: MessagePriority, key: str, urgency: int, only_while: tuple[str, ...] = ()
+    ) -> None:
         """Queue a message; never blocks."""
-        self._queue.put(message, self.codec.size(message), kind, key, urgency)
+        self._queue.put(message, self.codec.size(message), kind, key, urgency, only_while)
         self._ring()
+
+    def set_true(self, owner: str, names: Set[str]) -> None:
+        """What is true now according to this owner: messages may wait for it."""
+        self._queue.set_true(owner, names)
+        if self._queue:
+            self._ring()
 
     def set_agent_count(self, agents: int, *, leads: bool) -> None:
         """Set how many agents share the link, and whether this one is the leader of the swarm."""

@@ -9,6 +9,7 @@ was saved up.
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Set
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Any
@@ -67,6 +68,8 @@ class QueuedMessage:
     urgency: int = 0
     """Within a priority the lowest is sent first: MAV_SEVERITY. Of equals the oldest."""
     put_at: float = 0.0
+    only_while: tuple[str, ...] = ()
+    """It leaves only while all of these are true (`LinkBudget.set_true`). Until then it waits, and delays no other message."""
 
 
 @dataclass(slots=True)
@@ -143,6 +146,8 @@ class LinkBudget:
     _ahead: float = -ROUTINE_ROOM
     """Bytes of answers minus bytes of routine messages. Answers are first while it is not above 0."""
     _waiting: OrderedDict[str, QueuedMessage] = field(default_factory=OrderedDict)
+    _true: dict[str, Set[str]] = field(default_factory=dict)
+    """What is true now, by who knows it."""
 
     def __post_init__(self) -> None:
         self._credit = TokenBucket(self.burst, self.now)
@@ -166,6 +171,12 @@ class LinkBudget:
         last = self._beat[0]
         self._beat = (now, size / (now - last) if now > last else self._beat[1])
 
+    def set_true(self, owner: str, names: Set[str]) -> None:
+        """What is true now according to this owner, in place of what it said before. What a message says may have become untrue
+        while it waited. It is not removed then: its sender does not send it again when it is true again.
+        """
+        self._true[owner] = names
+
     def put(self, item: QueuedMessage) -> None:
         """Queue a message; it replaces the one with its key. When too many wait, the least important one is dropped."""
         old = self._waiting.get(item.key)
@@ -174,7 +185,7 @@ class LinkBudget:
             item = _replacing(old, item)
         self._waiting[item.key] = item
         if len(self._waiting) > MAX_WAITING:
-            least = max(self._waiting.values(), key=_order)
+            least = max(self._waiting.values(), key=lambda each: (not self._may_leave(each), *_order(each)))
             del self._waiting[least.key]
             self.counts[least.kind].dropped += 1
 
@@ -192,11 +203,14 @@ class LinkBudget:
         return item
 
     def _first(self) -> QueuedMessage | None:
-        least = min(self._waiting.values(), key=_order, default=None)
+        ready = [item for item in self._waiting.values() if self._may_leave(item)]
+        least = min(ready, key=_order, default=None)
         if least is None or least.kind not in ROUTINE or self._ahead > 0:
             return least
-        answers = (item for item in self._waiting.values() if _is_answer(item))
-        return min(answers, key=_order, default=least)
+        return min((item for item in ready if _is_answer(item)), key=_order, default=least)
+
+    def _may_leave(self, item: QueuedMessage) -> bool:
+        return all(any(name in names for names in self._true.values()) for name in item.only_while)
 
     def give_back(self, item: QueuedMessage) -> None:
         """It could not be sent. It is first among its equals again, unless a newer one with its key waits."""
@@ -212,14 +226,15 @@ class LinkBudget:
         self._waiting.move_to_end(item.key, last=False)
 
     def expire(self, before: float) -> None:
-        """Drop what was put before this time."""
-        for item in [item for item in self._waiting.values() if item.put_at < before]:
+        """Drop what was put before this time, and could have left."""
+        for item in [item for item in self._waiting.values() if item.put_at < before and self._may_leave(item)]:
             del self._waiting[item.key]
             self.counts[item.kind].dropped += 1
 
     @property
     def waiting(self) -> int:
-        return len(self._waiting)
+        """How many messages could leave now, apart from the budget."""
+        return sum(self._may_leave(item) for item in self._waiting.values())
 
 
 def _order(item: QueuedMessage) -> tuple[int, int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Set
 from typing import Any
 
 from phm.core.clock import Clock
@@ -11,7 +12,7 @@ from phm.transport.priority import LinkBudget, MessageCount, MessagePriority, Qu
 HEARTBEAT = 0
 OUTBOX_AGE_S = 30.0
 """Messages that could not be sent for this long because the link was lost are dropped; the ground gets the full state when
-it is back. While the link is open no message grows too old: a newer one with the same key replaces it."""
+it is back. While the link is open, a newer one with the same key replaces a message, and one that is not true any more waits."""
 
 
 class SendQueue:
@@ -42,8 +43,11 @@ class SendQueue:
         kind: MessagePriority = MessagePriority.TRANSITION,
         key: str = "",
         urgency: int = 0,
+        only_while: tuple[str, ...] = (),
     ) -> None:
-        """size: bytes of its frame. key: a newer one with the same key makes this superfluous; empty for none."""
+        """size: bytes of its frame. key: a newer one with the same key makes this superfluous; empty for none. only_while:
+        see `QueuedMessage`.
+        """
         with self._lock:
             self._number += 1
             now = self._clock.mono()
@@ -52,7 +56,12 @@ class SendQueue:
                 # A newer heartbeat replaces one that still waits: both together would say less.
                 self._heartbeat = QueuedMessage("", MessagePriority.TRANSITION, size, message, put_at=now)
                 return
-            self._budget.put(QueuedMessage(key or f"#{self._number}", kind, size, message, urgency, now))
+            self._budget.put(QueuedMessage(key or f"#{self._number}", kind, size, message, urgency, now, only_while))
+
+    def set_true(self, owner: str, names: Set[str]) -> None:
+        """See `LinkBudget.set_true`."""
+        with self._lock:
+            self._budget.set_true(owner, names)
 
     def take(self) -> QueuedMessage | None:
         """The next message to send, or None when nothing may be sent now."""

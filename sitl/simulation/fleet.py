@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import random
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence, Set
 from typing import Any
 
 from phm.core.model import Layer, Level, Report, Result, Slot, Transition, UnitState
@@ -50,9 +50,13 @@ class Port:
         key: str = "",
         urgency: int = 0,
         link: str = "",
+        only_while: tuple[str, ...] = (),
     ) -> None:
         self.sent_keys[key] += 1
-        self.outbox.put(message, self.codec.size(message), kind, key, urgency)
+        self.outbox.put(message, self.codec.size(message), kind, key, urgency, only_while)
+
+    def set_true(self, owner: str, names: Set[str]) -> None:
+        self.outbox.set_true(owner, names)
 
     def links(self) -> tuple[LinkFact, ...]:
         return ()

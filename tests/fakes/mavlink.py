@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Set
 from typing import Any
 
 from phm.facts import LinkFact
@@ -75,10 +75,14 @@ class FakePort:
         key: str = "",
         urgency: int = 0,
         link: str = "",
+        only_while: tuple[str, ...] = (),
     ) -> None:
         self.sent.append(message)
         if self.to is not None:
             self.to(message, kind, key, urgency)
+
+    def set_true(self, owner: str, names: Set[str]) -> None:
+        """Not used: nothing waits here."""
 
     def links(self) -> tuple[LinkFact, ...]:
         return ()

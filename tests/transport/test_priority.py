@@ -82,6 +82,42 @@ def test_nothing_is_lost_unless_a_newer_one_replaced_it(put: list[QueuedMessage]
     assert sum(count.coalesced for count in budget.counts.values()) == len(put) - len(newest)
 
 
+@given(st.lists(st.one_of(items, st.sets(st.sampled_from("xy"))), max_size=60))
+def test_a_message_waits_until_what_it_says_is_true(drawn: list[QueuedMessage | set[str]]) -> None:
+    """It leaves only then, delays no other one, and is not lost."""
+    budget, true, newest, left = LinkBudget(None, 0.0), set[str](), dict[str, int](), dict[str, int]()
+    for number, what in enumerate(drawn):
+        if isinstance(what, QueuedMessage):
+            budget.put(replace(what, message=number, only_while=(("x",), ("x", "y"), ())[number % 3]))
+            newest[what.key] = number
+            continue
+        true = what
+        budget.set_true("tracker", true)
+        waiting = budget.waiting
+        now = taken(budget, 0.0)
+        assert len(now) == waiting
+        assert all(set(item.only_while) <= true for item in now)
+        left |= {item.key: item.message for item in now}
+    budget.set_true("tracker", {"x"})
+    budget.set_true("swarm", {"y"})
+    left |= {item.key: item.message for item in taken(budget, 0.0)}
+    assert left == newest
+
+
+def test_a_message_that_is_not_true_now_outlives_an_outage_and_is_dropped_first() -> None:
+    """Its sender would not send it again."""
+    budget = LinkBudget(None, 0.0)
+    budget.put(QueuedMessage("fault", MessagePriority.TRANSITION, 60, None, 2, only_while=("bad",)))
+    budget.expire(100.0)
+    budget.set_true("tracker", {"bad"})
+    assert budget.waiting == 1
+    budget.set_true("tracker", set())
+    for number in range(MAX_WAITING):
+        budget.put(QueuedMessage(str(number), MessagePriority.REFRESH, 60, None, 6))
+    assert budget.waiting == MAX_WAITING
+    assert budget.counts[MessagePriority.TRANSITION].dropped == 1
+
+
 def test_a_fault_is_sent_before_repeated_messages() -> None:
     """A small refresh does not pass it while it waits for credit."""
     budget = LinkBudget(10.0, 0.0)
