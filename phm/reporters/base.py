@@ -44,11 +44,13 @@ class MavlinkSender(Protocol):
         urgency: int = 0,
         link: str = "",
         only_while: tuple[str, ...] = (),
+        only_replace: bool = False,
     ) -> None:
         """Queue one unpacked pymavlink message for every endpoint, or for the one named `link`; never blocks.
 
         What leaves first within a link's budget follows from kind, then urgency. A newer message with the same `key`
-        replaces this one while it waits. With `only_while` it waits until all of these are true.
+        replaces this one while it waits. With `only_while` it waits until all of these are true; with `only_replace` it is sent
+        only where an older one waits.
         """
 
     def set_true(self, owner: str, names: Set[str]) -> None:

@@ -191,10 +191,16 @@ class MavlinkReporter(Reporter):
                     continue
                 self._left_to_leader.pop(line.key, None)
                 only_while = (*only_while, *([SPEAKS] if self._context.swarm is not None else []))
-            message = mavlink.MAVLink_statustext_message(int(line.severity), line.text.encode("ascii"))
             # A text that was limited takes turns with the refresh line, which would otherwise wait for it without an end.
             urgency = Severity.INFO if line.kind is MessagePriority.REFRESH else line.severity
-            self._port.send(message, line.kind, key=line.key, urgency=int(urgency), only_while=only_while)
+            self._port.send(_statustext(line), line.kind, key=line.key, urgency=int(urgency), only_while=only_while)
+        if any(line.kind is MessagePriority.TRANSITION for line in lines):
+            self._renew_refresh()
+
+    def _renew_refresh(self) -> None:
+        """A refresh that waits for a link's budget leaves after the lines about changes, and must not deny them."""
+        line = self._builder.refresh(self._context.states())
+        self._port.send(_statustext(line), line.kind, key=line.key, urgency=int(line.severity), only_replace=True)
 
     def _heartbeat(self) -> None:
         states = self._context.states()
@@ -204,6 +210,10 @@ class MavlinkReporter(Reporter):
         word = status_word.encode(worst_by_slot(states))
         kind, autopilot = mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_AUTOPILOT_INVALID
         self._port.send(mavlink.MAVLink_heartbeat_message(kind, autopilot, 0, word, system_status, 3))
+
+
+def _statustext(line: StatusTextLine) -> Any:
+    return mavlink.MAVLink_statustext_message(int(line.severity), line.text.encode("ascii"))
 
 
 def _next(due: float, period_s: float, now: float) -> float:

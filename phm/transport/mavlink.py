@@ -115,18 +115,19 @@ class MavlinkHub:
         urgency: int = 0,
         link: str = "",
         only_while: tuple[str, ...] = (),
+        only_replace: bool = False,
     ) -> None:
         """Queue one unpacked message for every endpoint, or for the one named `link`; never blocks. An endpoint that leads only
         to other agents gets just HEARTBEATs unless it is named: agents read no other broadcast.
 
         kind, urgency: what leaves first where the link's budget makes others wait. key: a newer message with the same
-        key replaces this one while it waits. only_while: it waits until all of these are true (`set_true`). HEARTBEATs leave
-        immediately. The caller must not change the message after.
+        key replaces this one while it waits. only_while: it waits until all of these are true (`set_true`). only_replace: it is
+        sent only where an older one with its key waits. HEARTBEATs leave immediately. The caller must not change the message after.
         """
         for endpoint in self._endpoints:
             for_all = not link and (not endpoint.to_peers or message.get_msgId() == HEARTBEAT)
             if for_all or link == endpoint.name:
-                endpoint.send(message, kind, key, urgency, only_while)
+                endpoint.send(message, kind, key, urgency, only_while, only_replace=only_replace)
 
     def set_true(self, owner: str, names: Set[str]) -> None:
         """What is true now according to this owner, in place of what it said before."""

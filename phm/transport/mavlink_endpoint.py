@@ -73,10 +73,17 @@ class Endpoint:
         threads.start(self._thread)
 
     def send(
-        self, message: Any, kind: MessagePriority, key: str, urgency: int, only_while: tuple[str, ...] = ()
+        self,
+        message: Any,
+        kind: MessagePriority,
+        key: str,
+        urgency: int,
+        only_while: tuple[str, ...] = (),
+        *,
+        only_replace: bool = False,
     ) -> None:
         """Queue a message; never blocks."""
-        self._queue.put(message, self.codec.size(message), kind, key, urgency, only_while)
+        self._queue.put(message, self.codec.size(message), kind, key, urgency, only_while, only_replace=only_replace)
         self._ring()
 
     def set_true(self, owner: str, names: Set[str]) -> None:

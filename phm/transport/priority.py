@@ -189,6 +189,10 @@ class LinkBudget:
             del self._waiting[least.key]
             self.counts[least.kind].dropped += 1
 
+    def waits(self, key: str) -> bool:
+        """Whether a message with this key waits."""
+        return key in self._waiting
+
     def next(self, now: float) -> QueuedMessage | None:
         """The message to send now, or None. A small message does not pass a more important one that waits for credit."""
         self._credit.refill(now, self.rate / self.flow.factor(now), self.burst)

@@ -44,11 +44,15 @@ class SendQueue:
         key: str = "",
         urgency: int = 0,
         only_while: tuple[str, ...] = (),
+        *,
+        only_replace: bool = False,
     ) -> None:
         """size: bytes of its frame. key: a newer one with the same key makes this superfluous; empty for none. only_while:
-        see `QueuedMessage`.
+        see `QueuedMessage`. only_replace: it is sent only in place of one that waits.
         """
         with self._lock:
+            if only_replace and not self._budget.waits(key):
+                return
             self._number += 1
             now = self._clock.mono()
             # Not `message.id`: STATUSTEXT has a field of that name, which hides the message's number.

@@ -51,9 +51,10 @@ class Port:
         urgency: int = 0,
         link: str = "",
         only_while: tuple[str, ...] = (),
+        only_replace: bool = False,
     ) -> None:
-        self.sent_keys[key] += 1
-        self.outbox.put(message, self.codec.size(message), kind, key, urgency, only_while)
+        self.sent_keys[key] += not only_replace
+        self.outbox.put(message, self.codec.size(message), kind, key, urgency, only_while, only_replace=only_replace)
 
     def set_true(self, owner: str, names: Set[str]) -> None:
         self.outbox.set_true(owner, names)

@@ -76,7 +76,10 @@ class FakePort:
         urgency: int = 0,
         link: str = "",
         only_while: tuple[str, ...] = (),
+        only_replace: bool = False,
     ) -> None:
+        if only_replace:
+            return  # nothing waits here
         self.sent.append(message)
         if self.to is not None:
             self.to(message, kind, key, urgency)

@@ -25,13 +25,13 @@ class Link:
     def __init__(self, clock: FakeClock) -> None:
         self.queue, self._codec = SendQueue(clock, None), Codec(1, 193, lambda _: False)
 
-    def put(self, message: Any, kind: MessagePriority, key: str, urgency: int, only_while: tuple[str, ...]) -> None:
-        self.queue.put(message, self._codec.size(message), kind, key, urgency, only_while)
+    def put(self, message: Any, *words: Any, only_replace: bool) -> None:
+        self.queue.put(message, self._codec.size(message), *words, only_replace=only_replace)
 
-    def left(self) -> list[str]:
-        """The severe lines that leave now."""
+    def left(self, least: int) -> list[str]:
+        """The lines of at most this severity number that leave now."""
         messages = [item.message for item in iter(self.queue.take, None)]
-        return [each.text for each in messages if each.get_type() == "STATUSTEXT" and each.severity < 6]
+        return [each.text for each in messages if each.get_type() == "STATUSTEXT" and each.severity <= least]
 
 
 class Links(FakePort):
@@ -50,9 +50,10 @@ class Links(FakePort):
         urgency: int = 0,
         link: str = "",
         only_while: tuple[str, ...] = (),
+        only_replace: bool = False,
     ) -> None:
         for each in self.links_:
-            each.put(message, kind, key, urgency, only_while)
+            each.put(message, kind, key, urgency, only_while, only_replace=only_replace)
 
     def set_true(self, owner: str, names: Set[str]) -> None:
         for each in self.links_:
@@ -65,14 +66,15 @@ def scene() -> Scene:
     scene.port = Links(scene.clock)
     scene.restart()
     scene.running()
-    left(scene)
+    left(scene, 0)
+    left(scene, 1)
     return scene
 
 
-def left(scene: Scene, link: int = 0) -> list[str]:
-    """The severe lines that leave on this link once it has room."""
+def left(scene: Scene, link: int = 0, least: int = 5) -> list[str]:
+    """The lines that leave on this link once it has room, without those of severity INFO."""
     assert isinstance(scene.port, Links)
-    return scene.port.links_[link].left()
+    return scene.port.links_[link].left(least)
 
 
 def hold(scene: Scene) -> None:
@@ -151,3 +153,12 @@ def test_a_reload_keeps_what_waits(scene: Scene) -> None:
     assert left(scene) == []
     scene.become("nodes/a", Level.ERROR, "a dead")
     assert left(scene) == [FAIL]
+
+
+def test_a_refresh_that_waits_says_what_is_true_when_it_leaves(scene: Scene) -> None:
+    """The failure leaves before it, and a refresh from before would say that all is OK. None is sent where none waits."""
+    scene.pass_time(600.5)
+    assert left(scene, 1, least=6) == ["A01 OK -1---1--"]
+    scene.become("nodes/a", Level.ERROR, "a dead")
+    assert left(scene, 0, least=6) == [FAIL, "A01 FAIL -1---0-- 6 a dead"]
+    assert left(scene, 1, least=6) == [FAIL]
