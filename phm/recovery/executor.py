@@ -95,7 +95,7 @@ class Executor:
             self._opened(event.fault)
         elif isinstance(event, Transition) and event.new is Level.ERROR and event.state.fault:
             self._changed(event)
-        elif isinstance(event, Transition) and event.new is Level.OK:
+        elif isinstance(event, Transition) and event.state.result.ends_fault:
             fault = self._given_up.pop(event.unit, None)
             if fault is not None:
                 self._recovered(fault)

@@ -23,7 +23,7 @@ class SmoothedAgentCount:
 
     def update(self, agents: int, now: float) -> int:
         """The smoothed number at `now` (seconds) when there are `agents`: it at most doubles or halves in a minute."""
-        factor = 2.0 ** ((now - self._at) / DOUBLES_S)
+        factor = 2.0 ** min((now - self._at) / DOUBLES_S, 60.0)  # PHM may have been frozen for days
         self._at = now
         if agents > self._value:
             self._value = min(float(agents), max(self._value, AT_ONCE) * factor)

@@ -81,7 +81,8 @@ def recovered(context: RuleContext) -> Decision | None:
     Except while recovery works on its own fault: then it counts once the recovery is verified, dependents included; if that
     failed, once the dependents are back or `UnitRecord.unverified_until` has passed.
     """
-    if context.result.level is not Level.OK and not (context.result.ends_fault and context.record.fault is not None):
+    known = context.record.fault is not None or context.record.escalated
+    if context.result.level is not Level.OK and not (context.result.ends_fault and known):
         return None
     return NO_CHANGE if _unverified(context.record, context) else Decision(context.result)
 

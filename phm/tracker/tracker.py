@@ -74,7 +74,7 @@ class Tracker:
         record = self._units[unit]
         if record.published.level is not Level.ERROR or record.started < mono:
             return False
-        if record.latest is None or record.latest.level is not Level.OK:
+        if record.latest is None or not record.latest.ends_fault:
             return (
                 record.failing
                 and record.latest is not None
@@ -354,7 +354,9 @@ class Tracker:
             return
         if decision.blocked_by:
             self._attribute(record, decision.publish, decision.blocked_by, now, effects)
-        elif decision.publish.level is Level.OK or (decision.publish.ends_fault and record.fault is not None):
+        elif decision.publish.level is Level.OK or (
+            decision.publish.ends_fault and (record.fault is not None or record.escalated)
+        ):
             self._recovered(record, decision.publish, now, effects)
         else:
             self._publish(record, decision.publish, now, effects)

@@ -230,6 +230,12 @@ def test_a_received_agent_is_not_lost_by_votes_of_others() -> None:
     assert swarm.agreed(1).statuses[3].state is MemberState.LOST
 
 
+def test_a_long_pause_does_not_break_the_agent_count() -> None:
+    """PHM was frozen for days: the first look afterwards failed, and so did each later one."""
+    assert SmoothedAgentCount(8, 0.0).update(8, 1e6) == 8
+    assert SmoothedAgentCount(8, 0.0).update(2, 1e6) == 2
+
+
 def test_the_budget_share_changes_slowly_and_returns() -> None:
     """A burst of invented senders has no effect, a lasting flood halves the share every minute at most, and its end
     restores it.

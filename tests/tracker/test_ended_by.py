@@ -102,3 +102,17 @@ def test_what_ended_a_failure_does_not_end_the_next_one() -> None:
         bench.see("pilot", result)
     bench.take(bench.tracker.end_action("link", bench.stamp(), worked=True))
     assert bench.closed == [("pilot", Outcome.RESOLVED, "reopen")]
+
+
+def test_a_forecast_ends_a_fault_that_was_given_up() -> None:
+    """Else the next failure opened no fault and was not recovered, for as long as restarts became more frequent."""
+    bench = failing()
+    fault = bench.tracker.open_faults()[0]
+    bench.take(bench.tracker.escalate(fault.id, bench.stamp()))
+    bench.now += 1
+    bench.see("pilot", FORECAST)
+    assert bench.tracker.given_up() == ()
+    bench.later(20)
+    bench.see("pilot", BAD)
+    bench.later(3)
+    assert bench.opened == ["pilot", "pilot"]

@@ -313,6 +313,20 @@ def test_a_partial_repair_leaves_the_fault_to_the_next_action() -> None:
     assert bench.opened == ["network"]
 
 
+def test_a_partial_repair_with_a_forecast_leaves_the_fault_to_the_next_action() -> None:
+    """A forecast is an end of the failure like OK: a dependent that still fails confirms the fault."""
+    forecast = warn("4 restarts", brief="4 restarts", condition="restarts_rising").with_evidence(Evidence(forecast=True))
+    bench = repairing()
+    bench.see("network", forecast)
+    bench.see("nodes", BAD)
+    bench.take(bench.tracker.end_action("app", bench.stamp(), worked=False))
+    bench.later(1.0)
+    bench.see("network", forecast)
+    bench.see("nodes", BAD)
+    assert bench.closed == []
+    assert bench.tracker.confirmed_bad("network", bench.now)
+
+
 def test_an_unverified_repair_counts_once_all_dependents_are_back() -> None:
     """Late, as on a busy machine: nothing is left to wait for, so the fault closes."""
     bench = repairing()

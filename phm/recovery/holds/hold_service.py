@@ -324,13 +324,16 @@ class HoldService:
 
     def _end_on_arming(self) -> None:
         """End holds begun on the ground when the vehicle is armed, except an operator's hold of a container that is not
-        flight-critical."""
-        armed = self._flight.armed
-        if self._was_armed is None:
-            self._was_armed = self._holds.armed_before
-        if armed and not self._was_armed:
+        flight-critical. It may have been armed while PHM restarted; only a respected stop can have begun since."""
+        armed, first = self._flight.armed, self._was_armed is None
+        was_armed = self._holds.armed_before if first else self._was_armed
+        if armed and (first or not was_armed):
             ending = [
-                hold for hold in self._holds.all() if hold.source != OPERATOR or self._flight.critical(self._of(hold))
+                hold
+                for hold in self._holds.all()
+                if hold.source == WINDOW
+                or self._flight.critical(self._of(hold))
+                or (hold.source == STOP and not was_armed)
             ]
             self._end(ending, "the autopilot is armed")
         self._was_armed = armed

@@ -11,7 +11,7 @@ import pytest
 
 from phm.core.model import Phase, Stamp
 from phm.probes.docker_event import DockerEvent
-from phm.recovery.holds.hold_registry import Hold, HoldRegistry
+from phm.recovery.holds.hold_registry import OPERATOR, WINDOW, Hold, HoldRegistry
 from phm.recovery.holds.hold_service import HoldInputs, HoldService
 from phm.recovery.persistence.state import PersistedState, RecoveryState
 from phm.recovery.persistence.state_codec import InvalidState, decode, encode
@@ -110,16 +110,11 @@ def test_a_window_removed_from_the_configuration_ends(scenes: Any, tmp_path: Pat
     assert second.changes() == [("cam", False)] and second.service.snapshot() == []
 
 
-@pytest.mark.parametrize(("before", "left"), [(True, ["cam"]), (False, [])])
-def test_a_respected_stop_ends_only_on_arming(scene: Scene, before: bool, left: list[str]) -> None:
-    """A stop that was respected in flight stays so when PHM is restarted in flight; one from the ground does not."""
-    known = RecoveryState(armed=LastArmedState(before, 0.0))
-    scene.agent.executor.restore(PersistedState(recovery=known))
-    scene.holds.put(Hold("cam", "stop", scene.clock.mono() + 600.0, "an operator"))
-    scene.armed = ArmedState.ARMED
-    world = HoldInputs(lambda: ArmedStatus(scene.armed, "armed"), lambda key: None, scene.agent.executor.action_on)
+def restarted(scene: Scene) -> HoldService:
+    """The hold service of the next PHM, with the holds of the scene."""
     agent = scene.agent
-    following = HoldService(
+    world = HoldInputs(lambda: ArmedStatus(scene.armed, "armed"), lambda key: None, agent.executor.action_on)
+    return HoldService(
         agent.settings.recovery,
         agent.settings.containers,
         scene.holds,
@@ -128,8 +123,30 @@ def test_a_respected_stop_ends_only_on_arming(scene: Scene, before: bool, left: 
         scene.clock,
         world,
     )
+
+
+@pytest.mark.parametrize(("before", "left"), [(True, ["cam"]), (False, [])])
+def test_a_respected_stop_ends_only_on_arming(scene: Scene, before: bool, left: list[str]) -> None:
+    """A stop that was respected in flight stays so when PHM is restarted in flight; one from the ground does not."""
+    known = RecoveryState(armed=LastArmedState(before, 0.0))
+    scene.agent.executor.restore(PersistedState(recovery=known))
+    scene.holds.put(Hold("cam", "stop", scene.clock.mono() + 600.0, "an operator"))
+    scene.armed = ArmedState.ARMED
+    following = restarted(scene)
     following.tick()
     assert [hold["container"] for hold in following.snapshot()] == left
+
+
+def test_arming_while_phm_restarts_ends_holds_from_the_ground(scene: Scene) -> None:
+    """The saved state says armed already, but nothing had ended them. Neither can have begun while armed."""
+    scene.agent.executor.restore(PersistedState(recovery=RecoveryState(armed=LastArmedState(True, 0.0))))
+    scene.holds.put(Hold("app", OPERATOR, scene.clock.mono() + 600.0, BY))
+    scene.holds.put(Hold("cam", WINDOW, scene.clock.mono() + 600.0, "a window"))
+    scene.holds.put(Hold("cam", OPERATOR, scene.clock.mono() + 600.0, BY))
+    scene.armed = ArmedState.ARMED
+    following = restarted(scene)
+    following.tick()
+    assert [(hold["container"], hold["source"]) for hold in following.snapshot()] == [("cam", OPERATOR)]
 
 
 def restored_hold(left_s: float, *, boot: str, now: Stamp) -> Hold:
