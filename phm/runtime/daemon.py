@@ -141,6 +141,9 @@ class Daemon:
         if stopping:
             again_s = math.ceil(max(stopping.values())) or 1
             return f"an operator may be stopping {', '.join(stopping)}: reload again in {again_s} s"
+        ending = [entry.key for entry in self.components.settings.containers if self.pipeline.is_stopping(entry.key)]
+        if ending:
+            return f"{', '.join(ending)} received a stop signal and has not exited yet: reload again when it has"
         return ""
 
     # ------------------------------------------------------------ stop

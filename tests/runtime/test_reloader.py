@@ -22,6 +22,7 @@ from phm.checking.plan import CheckPlan
 from phm.core.dependency_graph import DependencyGraph
 from phm.facts import Attachment, ContainerFact
 from phm.probes.docker import Docker
+from phm.probes.docker_event import DockerEvent
 from phm.recovery.operator.requests import OperatorRequests
 from phm.recovery.persistence.state import PersistedState
 from phm.runtime.configuration import Configuration
@@ -309,7 +310,12 @@ def test_a_reload_waits_for_a_stop_by_hand_and_for_a_requested_restart(
         list[str](),
     )
     monkeypatch.setattr(daemon.pipeline, "note", lambda kind, text: notes.append(text))
-    for event in ("kill", "die", "stop"):
+    kill = DockerEvent("container", "app", "kill", "signal 15", daemon.clock.stamp(), end_s=10.0)
+    daemon.components.docker_events.apply(kill)
+    assert reloader.run(daemon) is daemon
+    assert "app received a stop signal and has not exited yet: reload again when it has" in notes[-1]
+    daemon.pipeline.container_ended("app")
+    for event in ("die", "stop"):
         daemon.components.holds.happened("app", event, "")
     assert reloader.run(daemon) is daemon
     assert "an operator may be stopping app: reload again in 3 s" in notes[-1]
