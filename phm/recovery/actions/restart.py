@@ -77,61 +77,70 @@ def restart_dependents(target: Target, fault: Fault, context: ActionContext) -> 
     A problem here is reported and is not a failure of the action: the target itself has been restarted, and a dependent
     that does not recover is a separate fault.
     """
-    facts = _facts(context)
-    order = dependents(target.key, facts, context.settings.containers)
+    facts, containers = _facts(context), context.settings.containers
+    order, needs = dependents(target.key, facts, containers), _needs(facts, containers)
     if not order:
         return ""
     restarted = facts.get(target.key)
     if restarted is None or not restarted.running:
         return f"; {', '.join(order)} not restarted, because {target.key} does not run"
-    said, moved = [], False
+    said, started = [], {target.key: False}  # what was started, and whether that was after `facts` were observed
     for key in order:
-        # Dependents of a restarted dependent must be restarted after it, however new they are.
-        words, done = _follow(key, fault, facts, context, always=moved)
-        moved = moved or done
+        found = needs[key] & started.keys()
+        if found:
+            # Dependents of a restarted dependent must be restarted after it, however new they are.
+            words, after = _follow(key, fault, facts, context, always=any(started[other] for other in found))
+            started.update({} if after is None else {key: after})
+        else:
+            left = ", ".join(other for other in order if other in needs[key])
+            words = f"{key} depends on {left} and was left alone: restart it after {left}"
         said.append(f"; {words}")
     return "".join(said)
 
 
 def _follow(
     key: str, fault: Fault, facts: Mapping[str, ContainerFact], context: ActionContext, *, always: bool
-) -> tuple[str, bool]:
-    """What was done, for the log, and whether the dependent was restarted. facts: as observed after the target's start."""
+) -> tuple[str, bool | None]:
+    """Restart one dependent. facts: as observed after the target's start. Returns what was done, for the log, and whether
+    this action has restarted it, perhaps without an answer; None: it has not been started since.
+    """
     entry = next((entry for entry in context.settings.containers if entry.key == key), None)
     if entry is None or key not in facts:
-        return f"{key}, which depends on it, does not exist", False
+        return f"{key}, which depends on it, does not exist", None
     if not entry.recover:
-        return f"{key} depends on it and has not opted in (recover: true): restart it manually", False
+        return f"{key} depends on it and has not opted in (recover: true): restart it manually", None
+    asked: bool | None = None
     try:
         at_most_s = stop_timeout_s(facts[key], context) + FOLLOW_CALLS * context.engine.act_limit_s
         with context.lock_dependent(key, fault, "restart", at_most_s):
-            skipped = _restart_dependent(entry, "" if always else facts[key].generation, context)
+            fact, skipped = _to_restart(key, context)
+            if fact is None:
+                return skipped, None
+            if fact.running and not always and fact.generation != facts[key].generation:
+                # It was started later than the target, regardless of the engine's clock.
+                return f"{key}, which depends on it, was started after it already", False
+            asked = True
+            restart_gracefully(fact, context)
     except FlightCriticalError as error:
-        return f"{key} depends on it: {error}; restart it manually when that is safe", False
+        return f"{key} depends on it: {error}; restart it manually when that is safe", None
     except CannotTell as error:
-        return f"{key} depends on it and could not be restarted: {error}", False
-    return skipped or f"restarted {key}, which depends on it", not skipped
+        return f"{key} depends on it and could not be restarted: {error}", asked
+    return f"restarted {key}, which depends on it", True
 
 
-def _restart_dependent(entry: ContainerSettings, before: str, context: ActionContext) -> str:
-    """Restart one dependent, after checking everything again: another recovery may have locked it until now.
-
-    before: its generation (`ContainerFact.generation`) as observed after the target's start. A dependent with another
-    generation was started later than the target, regardless of the engine's clock, and is not restarted. Empty: restart
-    it in any case. Returns why it was not restarted; empty: it was.
+def _to_restart(key: str, context: ActionContext) -> tuple[ContainerFact | None, str]:
+    """A dependent that may be restarted, after checking everything again: another recovery may have locked it until now.
+    None: it may not, with the reason.
     """
-    key, fact = entry.key, context.container(entry.key)
+    fact = context.container(key)
     if fact is None:
-        return f"{key}, which depends on it, does not exist"
+        return None, f"{key}, which depends on it, does not exist"
     if words := context.on_hold(key):
-        return f"{key}, which depends on it, is {words}: restart it manually"
+        return None, f"{key}, which depends on it, is {words}: restart it manually"
     if fact.status == "created" and not fact.error:
         # Who created it may wait for the health of others before starting it. Later its own fault has it started.
-        return f"{key}, which depends on it, has not been started yet"
-    if fact.running and before and fact.generation != before:
-        return f"{key}, which depends on it, was started after it already"
-    restart_gracefully(fact, context)
-    return ""
+        return None, f"{key}, which depends on it, has not been started yet"
+    return fact, ""
 
 
 def _facts(context: ActionContext) -> dict[str, ContainerFact]:
@@ -161,12 +170,7 @@ def dependents(
     namespace, whose processes end with the first one, or names it in `after`. One that depends on several comes after
     the last of them. network_only: only by the network namespace.
     """
-    after = {entry.key: () if network_only else entry.after for entry in containers}
-    needs = {
-        key: {other for other in facts if _shares(facts.get(key), facts[other], network_only=network_only)}
-        | set(after.get(key, ()))
-        for key in dict.fromkeys([*after, *facts])
-    }
+    needs = _needs(facts, containers, network_only=network_only)
     reached = {target}
     grown = True
     while grown:
@@ -179,6 +183,18 @@ def dependents(
         order.append(ready[0])
         waiting.remove(ready[0])
     return order[1:]
+
+
+def _needs(
+    facts: Mapping[str, ContainerFact], containers: Sequence[ContainerSettings], *, network_only: bool = False
+) -> dict[str, set[str]]:
+    """On which containers each one depends directly."""
+    after = {entry.key: () if network_only else entry.after for entry in containers}
+    return {
+        key: {other for other in facts if _shares(facts.get(key), facts[other], network_only=network_only)}
+        | set(after.get(key, ()))
+        for key in dict.fromkeys([*after, *facts])
+    }
 
 
 def owners(fact: ContainerFact, *, network_only: bool) -> list[str]:
