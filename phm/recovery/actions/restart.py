@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 
 from phm.core.model import Fault
 from phm.core.settings import ContainerSettings
@@ -44,7 +44,7 @@ class Restart(Action):
         if not fact.running:
             reconnect_stopped(container_settings(target), fact, context)
         restart_gracefully(fact, context)
-        return f"restarted {target.key}{restart_dependents(target, fault, context)}"
+        return f"restarted {target.key}{restart_dependents(target, fact, fault, context)}"
 
 
 def restart_gracefully(fact: ContainerFact, context: ActionContext) -> None:
@@ -70,22 +70,45 @@ def stop_timeout_s(fact: ContainerFact, context: ActionContext) -> float:
     return max(context.settings.recovery.stop_timeout, own_s)
 
 
-def restart_dependents(target: Target, fault: Fault, context: ActionContext) -> str:
-    """Restart the containers that depend on the target, once it runs again. Returns what was done, for the log (may be
-    empty).
+def restart_dependents(target: Target, before: ContainerFact, fault: Fault, context: ActionContext) -> str:
+    """Restart the containers that depend on the target, once it runs again. before: the target as it was before that.
+    Returns what was done, for the log (may be empty).
 
     A problem here is reported and is not a failure of the action: the target itself has been restarted, and a dependent
     that does not recover is a separate fault.
     """
-    facts, containers = _facts(context), context.settings.containers
-    order, needs = dependents(target.key, facts, containers), _needs(facts, containers)
-    if not order:
-        return ""
-    restarted = facts.get(target.key)
-    if restarted is None or not restarted.running:
-        return f"; {', '.join(order)} not restarted, because {target.key} does not run"
-    said, started = [], {target.key: False}  # what was started, and whether that was after `facts` were observed
+    facts, unknown = _facts(context)
+    # The id and the name of the target, by which others share its namespaces, stay the same.
+    order = dependents(target.key, {target.key: before, **facts}, context.settings.containers)
+    doubt, now = unknown.pop(target.key, None), facts.get(target.key)
+    named = [key for key in order if key not in unknown]
+    if doubt is None and now is not None and now.running:
+        said = _follow_in_order(target.key, order, fault, facts, unknown, context)
+    else:
+        why = f"it is not known whether {target.key} runs: {doubt}: check them manually"
+        why = f"{target.key} does not run" if doubt is None else why
+        said = [f"{', '.join(named)} not restarted, because {why}"] if named else []
+    for key, error in unknown.items():
+        said.append(f"it is not known whether {key} must be restarted, too: {error}: check it manually")
+    return "".join(f"; {words}" for words in said)
+
+
+def _follow_in_order(
+    target: str,
+    order: Sequence[str],
+    fault: Fault,
+    facts: Mapping[str, ContainerFact],
+    unknown: Container[str],
+    context: ActionContext,
+) -> list[str]:
+    """Restart the dependents of the target, without `unknown` ones and those of which no dependency was started again.
+    Returns what was done with each, for the log.
+    """
+    needs = _needs(facts, context.settings.containers)
+    said, started = [], {target: False}  # what was started, and whether that was after `facts` were observed
     for key in order:
+        if key in unknown:
+            continue
         found = needs[key] & started.keys()
         if found:
             # Dependents of a restarted dependent must be restarted after it, however new they are.
@@ -94,8 +117,8 @@ def restart_dependents(target: Target, fault: Fault, context: ActionContext) -> 
         else:
             left = ", ".join(other for other in order if other in needs[key])
             words = f"{key} depends on {left} and was left alone: restart it after {left}"
-        said.append(f"; {words}")
-    return "".join(said)
+        said.append(words)
+    return said
 
 
 def _follow(
@@ -143,17 +166,26 @@ def _to_restart(key: str, context: ActionContext) -> tuple[ContainerFact | None,
     return fact, ""
 
 
-def _facts(context: ActionContext) -> dict[str, ContainerFact]:
-    """All configured containers that the engine reports now."""
-    found = {}
-    for entry in context.settings.containers:
-        try:
-            fact = context.container(entry.key)
-        except CannotTell:
-            continue
-        if fact is not None:
-            found[entry.key] = fact
-    return found
+def _facts(context: ActionContext) -> tuple[dict[str, ContainerFact], dict[str, CannotTell]]:
+    """All configured containers that the engine reports now, and those about which it does not answer.
+
+    It is asked twice about each: while it starts a container, it may be slow.
+    """
+    found: dict[str, ContainerFact] = {}
+    unknown: dict[str, CannotTell] = {}
+    keys = [entry.key for entry in context.settings.containers]
+    for _ in range(2):
+        unknown = {}
+        for key in keys:
+            try:
+                fact = context.container(key)
+            except CannotTell as error:
+                unknown[key] = error
+                continue
+            if fact is not None:
+                found[key] = fact
+        keys = list(unknown)
+    return found, unknown
 
 
 def dependents(
