@@ -78,7 +78,9 @@ class Executor:
         self._histories: dict[str, History] = {}
         self._given_up: dict[str, Fault] = {}
         self._lock = threading.Lock()
+        self._stopping = False
         self.holds.changed = self._wake_all
+        self._generations.on_unanswered = self._observe
 
     @staticmethod
     def key(event: Event) -> tuple[str, str]:
@@ -132,6 +134,11 @@ class Executor:
         for worker in workers:
             worker.wake()
 
+    def _observe(self, container: str) -> None:
+        """Have its worker observe a container that the engine may still start for PHM."""
+        if not self._stopping:
+            self._worker(container).wake()
+
     def _worker(self, name: str) -> TargetWorker:
         with self._lock:
             worker = self._workers.get(name)
@@ -171,6 +178,8 @@ class Executor:
         for fault in self._pipeline.open_faults():
             if fault.result.target:
                 self._restore_fault(fault, recovery)
+        for container in self._generations.unfinished():
+            self._observe(container)
         return tuple(notes)
 
     def _restore_generations(self, recovery: RecoveryState) -> None:
@@ -247,7 +256,9 @@ class Executor:
 
     def stop(self) -> None:
         """Have all workers begin nothing more."""
-        for worker in self._workers.values():
+        with self._lock:
+            self._stopping, workers = True, tuple(self._workers.values())
+        for worker in workers:
             worker.stop()
 
 

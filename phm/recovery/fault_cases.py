@@ -252,15 +252,16 @@ class ExternalChanges:
             self._recovered.append((units, down_from))
 
     def update(self, cases: Iterable[FaultCase]) -> bool:
-        """Apply the changes to the history and the cases. Returns whether any attempt counts, so that further changes
-        matter."""
+        """Apply the changes to the history and the cases. Returns whether further changes matter: any attempt counts, or the
+        engine may still start the container for PHM."""
         given_up = [fault.unit for fault in self._pipeline.given_up() if fault.result.target == self._target]
         with self._lock:
             recovered, self._recovered = self._recovered, []
         for units, down_from in recovered:
             reset = self._history.reset_backoff(units, down_from).intersection(given_up)
             self._pipeline.clear_given_up(*reset)
-        if not given_up and not self._history.within(self._clock.mono() - CLEAN_S):
+        counts = bool(given_up or self._history.within(self._clock.mono() - CLEAN_S))
+        if not counts and self._target not in self._generations.unfinished():
             self._generations.forget(self._target)
             self._generation = None
             return False

@@ -140,6 +140,9 @@ class GenerationTracker:
         self._generations: dict[str, Generation] = {}
         self._actors: dict[str, _Actor] = {}
         self._locks: dict[str, threading.Lock] = {}
+        self.on_unanswered: Callable[[str], None] = lambda key: None
+        """Called with a container after an action whose call to start it got no response: it must be observed from then on, so
+        that the start is known to be PHM's, and a stop after it not to be."""
 
     def restore(self, known: Mapping[str, Generation]) -> None:
         """Restore the state of an earlier run of PHM; call before the first observation."""
@@ -198,6 +201,8 @@ class GenerationTracker:
             if count:
                 actor.unanswered, actor.until = actor.unanswered + count, self._clock.mono() + UNFINISHED_S
             actor.ended = self._clock.mono()
+            if count:
+                self.on_unanswered(key)
 
     def add_unfinished(self, key: str, who: str) -> None:
         """An action on `key` to recover `who` was interrupted when PHM stopped; the engine may complete it. Call before

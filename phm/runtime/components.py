@@ -28,6 +28,7 @@ from phm.core.watchdog import DaemonWatchdog
 from phm.facts import SelfFact
 from phm.probes import cgroups
 from phm.probes.docker_event import DockerEvent
+from phm.probes.docker_facts import container_fact
 from phm.recovery.actions.cpu_weights import CpuWeights
 from phm.recovery.base import Action, ActionContext
 from phm.recovery.executor import Executor, NotNow
@@ -144,7 +145,11 @@ class Components:
         self.holds = HoldService(settings.recovery, settings.containers, held, pipeline, self.bus.publish, clock, world)
         cgroup_root = Path(settings.pressure.cgroups)
         self.relief = CpuWeights(
-            self.probes.engine, docker.container, pipeline, clock, lambda fact: cgroups.cpu_weight(cgroup_root, fact)
+            self.probes.engine,
+            lambda ref: container_fact(self.probes.engine.inspect(ref)),
+            pipeline,
+            clock,
+            lambda fact: cgroups.cpu_weight(cgroup_root, fact),
         )
         self.may_relieve = bool(settings.recovery.relieve)
         self.memory = PersistenceService(

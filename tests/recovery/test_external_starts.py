@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -335,6 +336,54 @@ def test_a_dependents_restart_interrupted_by_phms_end_is_phms_own(yard: Yard) ->
     second.rest(60.0)
     assert [target for target, _ in second.runs] == []
     assert not any("outside PHM" in note for note in second.notes())
+
+
+@pytest.mark.parametrize("while_away", [False, True])
+def test_an_operators_stop_after_an_interrupted_restart_is_not_phms_own(yard: Yard, *, while_away: bool) -> None:
+    """The engine has completed the restart of the dependent, which has no fault and no attempts."""
+    yard.containers.facts["side"] = testing.container("side")
+    first = yard.phm()
+    first.rest(3.0)
+
+    def act(key: str, context: ActionContext, fault: Fault) -> None:
+        with context.lock_dependent("side", fault, "restart", 30.0):
+            first.pause(lambda: False)
+
+    first.behave = act
+    first.bad["health/app"] = "broken"
+    first.until(lambda: "side" in first.executor.persisted().unfinished, "the action")
+    first.stop()
+    if while_away:
+        yard.containers.start("side")
+    second = yard.phm()
+    if not while_away:
+        second.rest(10.0)
+        assert second.executor.action_on("side")
+        yard.containers.start("side")
+    second.rest(10.0)
+    assert not second.executor.action_on("side")
+
+
+def test_an_operators_stop_after_an_unanswered_restart_is_not_phms_own(yard: Yard) -> None:
+    """Once the engine has completed the restart of the dependent, which has no fault and no attempts."""
+    yard.containers.facts["side"] = testing.container("side")
+    agent = yard.phm()
+    agent.rest(3.0)
+    agent.engine.fails = LATE
+
+    def act(key: str, context: ActionContext, fault: Fault) -> None:
+        with context.lock_dependent("side", fault, "restart", 30.0), contextlib.suppress(EngineTimeout):
+            context.engine.restart("side")
+        agent.bad.clear()
+
+    agent.behave = act
+    agent.bad["health/app"] = "broken"
+    agent.until(lambda: Phase.VERIFIED in agent.steps(), "the action")
+    agent.rest(10.0)
+    assert agent.executor.action_on("side")
+    yard.containers.start("side")
+    agent.rest(10.0)
+    assert not agent.executor.action_on("side")
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from phm.core.clock import Clock
 from phm.core.model import Event, FaultClosed, Level, UnitState
 from phm.facts import CannotTell, ContainerFact
 from phm.recovery.base import MAX_SHARES, LoweredWeight
-from phm.transport.docker import DockerEngine
+from phm.transport.docker import DockerEngine, EngineMissing
 
 LOW_SHARES = 64
 """Between a 33rd and an eighth of the default, by cgroup version and container runtime: enough to stay alive, almost nothing beside a
@@ -57,12 +57,15 @@ class CpuWeights:
     def __init__(
         self,
         engine: DockerEngine,
-        container: Callable[[str], ContainerFact | None],
+        container: Callable[[str], ContainerFact],
         pipeline: PublishedStates,
         clock: Clock,
         weight: Callable[[ContainerFact], int] = lambda fact: 0,
     ) -> None:
-        """weight: the kernel's weight of a container on cgroup v2; 0: not known."""
+        """container: the engine's data of any container, by id: a reload may have removed it from the configuration. Raises
+        EngineMissing if there is none.
+        weight: the kernel's weight of a container on cgroup v2; 0: not known.
+        """
         self._engine, self._container, self._pipeline, self._clock = engine, container, pipeline, clock
         self._weight = weight
         # By container and unit: several starved containers may need the same weight low.
@@ -141,15 +144,15 @@ class CpuWeights:
     def _put_back(self, entry: LoweredWeight) -> None:
         """A container that was recreated since has the weight that it was created with."""
         try:
-            fact = self._container(entry.key)
-            same = fact is not None and fact.id == entry.id
-            shares = self._set_back(entry, fact) if fact is not None and same else 0
+            shares = self._set_back(entry, self._container(entry.id))
+        except EngineMissing:
+            shares = 0
         except CannotTell:
             return  # at the next tick
         with self._lock:
             self._lowered = {noted: other for noted, other in self._lowered.items() if other.key != entry.key}
             self._put_back_at[entry.key] = self._clock.mono()
-        if same:
+        if shares:
             self._pipeline.note("ACTION", f"restored the CPU weight of {entry.key} to {shares}")
 
     def _set_back(self, entry: LoweredWeight, fact: ContainerFact) -> int:

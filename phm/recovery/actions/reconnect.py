@@ -102,7 +102,8 @@ class Reconnect(Action):
         except (FlightCriticalError, NotPermitted) as error:  # the reconnection itself was permitted
             return f"{later}: {error}"
         self.still_bad_after_s = self.dependents_within_s = None  # after a restart, nodes need time to start
-        return f" and restarted it, because its sockets had left their multicast groups{restart_dependents(target, fault, context)}"
+        followed = restart_dependents(target, fact, fault, context)
+        return f" and restarted it, because its sockets had left their multicast groups{followed}"
 
 
 def _armed(context: ActionContext) -> ArmedStatus:

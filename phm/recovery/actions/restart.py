@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 
 from phm.core.model import Fault
 from phm.core.settings import ContainerSettings
@@ -44,7 +44,7 @@ class Restart(Action):
         if not fact.running:
             reconnect_stopped(container_settings(target), fact, context)
         restart_gracefully(fact, context)
-        return f"restarted {target.key}{restart_dependents(target, fault, context)}"
+        return f"restarted {target.key}{restart_dependents(target, fact, fault, context)}"
 
 
 def restart_gracefully(fact: ContainerFact, context: ActionContext) -> None:
@@ -70,81 +70,122 @@ def stop_timeout_s(fact: ContainerFact, context: ActionContext) -> float:
     return max(context.settings.recovery.stop_timeout, own_s)
 
 
-def restart_dependents(target: Target, fault: Fault, context: ActionContext) -> str:
-    """Restart the containers that depend on the target, once it runs again. Returns what was done, for the log (may be
-    empty).
+def restart_dependents(target: Target, before: ContainerFact, fault: Fault, context: ActionContext) -> str:
+    """Restart the containers that depend on the target, once it runs again. before: the target as it was before that.
+    Returns what was done, for the log (may be empty).
 
     A problem here is reported and is not a failure of the action: the target itself has been restarted, and a dependent
     that does not recover is a separate fault.
     """
-    facts = _facts(context)
-    order = dependents(target.key, facts, context.settings.containers)
-    if not order:
-        return ""
-    restarted = facts.get(target.key)
-    if restarted is None or not restarted.running:
-        return f"; {', '.join(order)} not restarted, because {target.key} does not run"
-    said, moved = [], False
+    facts, unknown = _facts(context)
+    # The id and the name of the target, by which others share its namespaces, stay the same.
+    order = dependents(target.key, {target.key: before, **facts}, context.settings.containers)
+    doubt, now = unknown.pop(target.key, None), facts.get(target.key)
+    named = [key for key in order if key not in unknown]
+    if doubt is None and now is not None and now.running:
+        said = _follow_in_order(target.key, order, fault, facts, unknown, context)
+    else:
+        why = f"it is not known whether {target.key} runs: {doubt}: check them manually"
+        why = f"{target.key} does not run" if doubt is None else why
+        said = [f"{', '.join(named)} not restarted, because {why}"] if named else []
+    for key, error in unknown.items():
+        said.append(f"it is not known whether {key} must be restarted, too: {error}: check it manually")
+    return "".join(f"; {words}" for words in said)
+
+
+def _follow_in_order(
+    target: str,
+    order: Sequence[str],
+    fault: Fault,
+    facts: Mapping[str, ContainerFact],
+    unknown: Container[str],
+    context: ActionContext,
+) -> list[str]:
+    """Restart the dependents of the target, without `unknown` ones and those of which no dependency was started again.
+    Returns what was done with each, for the log.
+    """
+    needs = _needs(facts, context.settings.containers)
+    said, started = [], {target: False}  # what was started, and whether that was after `facts` were observed
     for key in order:
-        # Dependents of a restarted dependent must be restarted after it, however new they are.
-        words, done = _follow(key, fault, facts, context, always=moved)
-        moved = moved or done
-        said.append(f"; {words}")
-    return "".join(said)
+        if key in unknown:
+            continue
+        found = needs[key] & started.keys()
+        if found:
+            # Dependents of a restarted dependent must be restarted after it, however new they are.
+            words, after = _follow(key, fault, facts, context, always=any(started[other] for other in found))
+            started.update({} if after is None else {key: after})
+        else:
+            left = ", ".join(other for other in order if other in needs[key])
+            words = f"{key} depends on {left} and was left alone: restart it after {left}"
+        said.append(words)
+    return said
 
 
 def _follow(
     key: str, fault: Fault, facts: Mapping[str, ContainerFact], context: ActionContext, *, always: bool
-) -> tuple[str, bool]:
-    """What was done, for the log, and whether the dependent was restarted. facts: as observed after the target's start."""
+) -> tuple[str, bool | None]:
+    """Restart one dependent. facts: as observed after the target's start. Returns what was done, for the log, and whether
+    this action has restarted it, perhaps without an answer; None: it has not been started since.
+    """
     entry = next((entry for entry in context.settings.containers if entry.key == key), None)
     if entry is None or key not in facts:
-        return f"{key}, which depends on it, does not exist", False
+        return f"{key}, which depends on it, does not exist", None
     if not entry.recover:
-        return f"{key} depends on it and has not opted in (recover: true): restart it manually", False
+        return f"{key} depends on it and has not opted in (recover: true): restart it manually", None
+    asked: bool | None = None
     try:
         at_most_s = stop_timeout_s(facts[key], context) + FOLLOW_CALLS * context.engine.act_limit_s
         with context.lock_dependent(key, fault, "restart", at_most_s):
-            skipped = _restart_dependent(entry, "" if always else facts[key].generation, context)
+            fact, skipped = _to_restart(key, context)
+            if fact is None:
+                return skipped, None
+            if fact.running and not always and fact.generation != facts[key].generation:
+                # It was started later than the target, regardless of the engine's clock.
+                return f"{key}, which depends on it, was started after it already", False
+            asked = True
+            restart_gracefully(fact, context)
     except FlightCriticalError as error:
-        return f"{key} depends on it: {error}; restart it manually when that is safe", False
+        return f"{key} depends on it: {error}; restart it manually when that is safe", None
     except CannotTell as error:
-        return f"{key} depends on it and could not be restarted: {error}", False
-    return skipped or f"restarted {key}, which depends on it", not skipped
+        return f"{key} depends on it and could not be restarted: {error}", asked
+    return f"restarted {key}, which depends on it", True
 
 
-def _restart_dependent(entry: ContainerSettings, before: str, context: ActionContext) -> str:
-    """Restart one dependent, after checking everything again: another recovery may have locked it until now.
-
-    before: its generation (`ContainerFact.generation`) as observed after the target's start. A dependent with another
-    generation was started later than the target, regardless of the engine's clock, and is not restarted. Empty: restart
-    it in any case. Returns why it was not restarted; empty: it was.
+def _to_restart(key: str, context: ActionContext) -> tuple[ContainerFact | None, str]:
+    """A dependent that may be restarted, after checking everything again: another recovery may have locked it until now.
+    None: it may not, with the reason.
     """
-    key, fact = entry.key, context.container(entry.key)
+    fact = context.container(key)
     if fact is None:
-        return f"{key}, which depends on it, does not exist"
+        return None, f"{key}, which depends on it, does not exist"
     if words := context.on_hold(key):
-        return f"{key}, which depends on it, is {words}: restart it manually"
+        return None, f"{key}, which depends on it, is {words}: restart it manually"
     if fact.status == "created" and not fact.error:
         # Who created it may wait for the health of others before starting it. Later its own fault has it started.
-        return f"{key}, which depends on it, has not been started yet"
-    if fact.running and before and fact.generation != before:
-        return f"{key}, which depends on it, was started after it already"
-    restart_gracefully(fact, context)
-    return ""
+        return None, f"{key}, which depends on it, has not been started yet"
+    return fact, ""
 
 
-def _facts(context: ActionContext) -> dict[str, ContainerFact]:
-    """All configured containers that the engine reports now."""
-    found = {}
-    for entry in context.settings.containers:
-        try:
-            fact = context.container(entry.key)
-        except CannotTell:
-            continue
-        if fact is not None:
-            found[entry.key] = fact
-    return found
+def _facts(context: ActionContext) -> tuple[dict[str, ContainerFact], dict[str, CannotTell]]:
+    """All configured containers that the engine reports now, and those about which it does not answer.
+
+    It is asked twice about each: while it starts a container, it may be slow.
+    """
+    found: dict[str, ContainerFact] = {}
+    unknown: dict[str, CannotTell] = {}
+    keys = [entry.key for entry in context.settings.containers]
+    for _ in range(2):
+        unknown = {}
+        for key in keys:
+            try:
+                fact = context.container(key)
+            except CannotTell as error:
+                unknown[key] = error
+                continue
+            if fact is not None:
+                found[key] = fact
+        keys = list(unknown)
+    return found, unknown
 
 
 def dependents(
@@ -161,12 +202,7 @@ def dependents(
     namespace, whose processes end with the first one, or names it in `after`. One that depends on several comes after
     the last of them. network_only: only by the network namespace.
     """
-    after = {entry.key: () if network_only else entry.after for entry in containers}
-    needs = {
-        key: {other for other in facts if _shares(facts.get(key), facts[other], network_only=network_only)}
-        | set(after.get(key, ()))
-        for key in dict.fromkeys([*after, *facts])
-    }
+    needs = _needs(facts, containers, network_only=network_only)
     reached = {target}
     grown = True
     while grown:
@@ -179,6 +215,18 @@ def dependents(
         order.append(ready[0])
         waiting.remove(ready[0])
     return order[1:]
+
+
+def _needs(
+    facts: Mapping[str, ContainerFact], containers: Sequence[ContainerSettings], *, network_only: bool = False
+) -> dict[str, set[str]]:
+    """On which containers each one depends directly."""
+    after = {entry.key: () if network_only else entry.after for entry in containers}
+    return {
+        key: {other for other in facts if _shares(facts.get(key), facts[other], network_only=network_only)}
+        | set(after.get(key, ()))
+        for key in dict.fromkeys([*after, *facts])
+    }
 
 
 def owners(fact: ContainerFact, *, network_only: bool) -> list[str]:

@@ -44,4 +44,4 @@ class Start(Action):
             return NotNeeded(f"{target.key} was started outside PHM meanwhile")
         if context.alone:  # it has exited repeatedly: its dependents are not restarted each time
             return f"started {target.key}"
-        return f"started {target.key}{restart_dependents(target, fault, context)}"
+        return f"started {target.key}{restart_dependents(target, fact, fault, context)}"

@@ -12,16 +12,17 @@ import pytest
 
 from phm import testing
 from phm.core.model import Layer, Level, Result, Slot, Stamp, UnitState
-from phm.facts import ContainerFact
+from phm.facts import CannotTell, ContainerFact
+from phm.probes.docker_facts import container_fact
 from phm.recovery.actions.cpu_weights import CALM_S, DEFAULT_SHARES, LOW_SHARES, CpuWeights
 from phm.recovery.actions.relieve import Relieve
 from phm.recovery.actions.unpause import Unpause
 from phm.recovery.attempt import Attempt
-from phm.recovery.base import Action, ActionContext, NotNeeded, Target
+from phm.recovery.base import Action, ActionContext, LoweredWeight, NotNeeded, Target
 from phm.recovery.ownership import Shared
 from phm.runtime.sections import action_settings
 from phm.testing import FakeClock, settings
-from phm.transport.docker import DockerEngine
+from phm.transport.docker import DockerEngine, EngineMissing
 from tests.recovery.action_bench import Bench, bench, fault
 
 STARVED = fault("pressure/app", "cpu_starved")
@@ -58,7 +59,12 @@ class Scene:
             mavlink={"endpoints": [{"url": "udpin:127.0.0.1:14599", "leads_to": "autopilot"}]},
         )
         self.clock, self.published = FakeClock(), Published()
-        self.relief = CpuWeights(self.bench.engine, self.bench.fact, self.published, self.clock)
+        self.relief = self.restarted()
+
+    def restarted(self) -> CpuWeights:
+        """As a new PHM has it, without what was lowered before."""
+        engine = self.bench.engine
+        return CpuWeights(engine, lambda ref: container_fact(engine.inspect(ref)), self.published, self.clock)
 
     def relieve(self) -> str:
         context = replace(self.bench.context(), relief=self.relief)
@@ -99,7 +105,7 @@ def test_a_restarted_phm_restores_lowered_weights(real: Any, engine: DockerEngin
     scene = Scene(engine, real)
     scene.relieve()
     kept = scene.relief.kept()
-    scene.relief = CpuWeights(scene.bench.engine, scene.bench.fact, scene.published, scene.clock)
+    scene.relief = scene.restarted()
     scene.relief.restore(kept)
     assert isinstance(scene.relieve(), NotNeeded), "the low weight is not saved as the container's own"
     scene.relief.end()
@@ -164,9 +170,30 @@ def test_a_low_weight_that_phm_has_not_set_is_not_changed() -> None:
     """It is the container's own."""
     engine, clock = Shares(), FakeClock()
     engine.shares = LOW_SHARES
-    relief = CpuWeights(cast(Any, engine), lambda key: None, Published(), clock)
+    relief = CpuWeights(cast(Any, engine), lambda ref: testing.container("cam"), Published(), clock)
     assert not relief.lower("cam", testing.container("cam"), UNIT, cast(Any, engine))
     assert relief.kept() == ()
+
+
+@pytest.mark.parametrize("removed", [False, True])
+def test_the_weight_of_a_container_that_is_no_longer_configured_is_restored(*, removed: bool) -> None:
+    """A reload may remove it from the configuration: the engine is asked by id. Nothing remains of one that was removed."""
+    engine, published = Shares(), Published()
+    engine.shares = LOW_SHARES
+    cam = testing.container("cam")
+
+    def known(ref: str) -> ContainerFact:
+        if removed:
+            raise EngineMissing("there is no such container")
+        if ref != cam.id:
+            raise CannotTell(f"no container {ref} is configured")
+        return cam
+
+    relief = CpuWeights(cast(Any, engine), known, published, FakeClock())
+    relief.restore([LoweredWeight("cam", cam.id, 512, "pressure/gone")])
+    relief.tick()
+    assert (engine.shares, relief.kept()) == (LOW_SHARES if removed else 512, ())
+    assert published.notes == ([] if removed else ["restored the CPU weight of cam to 512"])
 
 
 def old_weight(shares: int) -> int:
