@@ -23,7 +23,7 @@ from phm.core.bounded_queue import BoundedQueue
 from phm.core.clock import Clock
 from phm.core.model import Fault
 from phm.core.settings import MavlinkSettings
-from phm.transport.priority import UNSIGNED_LAST, MessagePriority
+from phm.transport.priority import UNSIGNED_LAST, MessagePriority, default_periods
 from phm.wire.command import (
     COMMAND_INT,
     COMMAND_LONG,
@@ -53,8 +53,6 @@ KIND = "COMMAND"
 MAX_WAITING = 64
 """Of signed and of unsigned commands each, so that unsigned ones cannot keep signed ones out."""
 MAX_REPEATS = 64
-HEARTBEAT_EVERY_S = 1.0
-"""HEARTBEATs are exempt from the budget of a link, so requests for them are limited here."""
 IDLE_S = 1.0
 CLOSING_S = 2.0
 
@@ -81,7 +79,8 @@ class MavlinkCommands:
         self._log = CommandLog()
         self._repeats: dict[tuple[str, int], tuple[float, float, Command]] = {}
         """By link and message: interval in seconds, when it is due, and the command that requested it."""
-        self._heartbeat_at = float("-inf")
+        self._heartbeat_s, self._heartbeat_at = settings.heartbeat, dict[str, float]()
+        """By link, when a HEARTBEAT was sent on request."""
         self._lock = threading.Lock()
         self._wake, self._stop = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._loop, name="phm-commands", daemon=True)
@@ -245,12 +244,13 @@ class MavlinkCommands:
             return Reply(CommandResult.FAILED, "PHM's checks have stalled, so its status is out of date")
         now = self._clock.mono()
         if message == HEARTBEAT:
-            if now - self._heartbeat_at < HEARTBEAT_EVERY_S:
+            # The budget of a link does not limit HEARTBEATs, so requests at most double them.
+            every_s = self._heartbeat_s or default_periods(self._port.agents)[0]
+            if now - self._heartbeat_at.get(link, float("-inf")) < every_s:
                 return Reply(
-                    CommandResult.TEMPORARILY_REJECTED,
-                    f"a heartbeat was requested less than {HEARTBEAT_EVERY_S:g} s ago",
+                    CommandResult.TEMPORARILY_REJECTED, f"a heartbeat was requested less than {every_s:g} s ago"
                 )
-            self._heartbeat_at = now
+            self._heartbeat_at[link] = now
         if message == NAMED_VALUE_FLOAT:
             return self._send_rates(link, now)
         built = responses.status(

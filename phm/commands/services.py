@@ -20,6 +20,10 @@ class MavlinkPort(Protocol):
     def signs(self) -> bool:
         """Signing is on: only signed commands are accepted."""
 
+    @property
+    def agents(self) -> int:
+        """How many agents share the links, this one included."""
+
     def send(
         self,
         message: Any,

@@ -105,7 +105,8 @@ def _agent(page: MetricsPage, agent: Mapping[str, Any]) -> None:
     name = agent["name"]
     there = agent["presence"] in _THERE
     page.add(metrics.PRESENT, there, name)
-    page.add(metrics.AGE, agent["age_s"], name)
+    if agent["presence"] != PresenceState.LEFT.value:  # it was stopped on purpose: `PhmAgentLost` needs the age
+        page.add(metrics.AGE, agent["age_s"], name)
     page.add(metrics.PERIOD, agent["period_s"], name)
     page.add(metrics.RESTARTS, agent["restarts"], name)
     page.add(metrics.GAPS, agent["late"], name, PresenceState.LATE.value)  # not an event

@@ -13,7 +13,9 @@ PRESENT = _gauge(
     "phm_gcs_agent_present", "1 while an agent is received; 0 when it is lost, has left, or was never received", "agent"
 )
 AGE = _gauge(
-    "phm_gcs_agent_age_seconds", "Seconds since the last heartbeat of an agent; missing if never received", "agent"
+    "phm_gcs_agent_age_seconds",
+    "Seconds since the last heartbeat of an agent; missing if never received or left",
+    "agent",
 )
 PERIOD = _gauge("phm_gcs_agent_period_seconds", "Usual seconds between two heartbeats of an agent", "agent")
 AGENT_LEVEL = _gauge(

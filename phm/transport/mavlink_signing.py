@@ -43,7 +43,9 @@ SAVE_S = 30.0
 NAME = "mavlink_signing.json"
 MAX_FILE_BYTES = 65_536
 FORGED_SHOWN_S = 60.0
-
+WARNED_S = 12.0
+"""A file of times that cannot be used is reported for this long after the start: the next save replaces it. One refresh of the
+status, every 10 s, contains it."""
 
 _READING = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
 
@@ -102,13 +104,15 @@ class Signing:
         self._streams: dict[tuple[int, int, int], int] = {}
         self._lock, self._file = threading.Lock(), threading.Lock()
         self._saved: object = None
-        self._problem = ""
+        self._problem = self._lost = ""
+        self._lost_until = float("inf")
         self._forged_at = float("-inf")
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._keep, name="phm-signing", daemon=True)
         self._load()
 
     def start(self) -> None:
+        self._lost_until = self._clock.mono() + WARNED_S
         self.save()
         threads.start(self._thread)
 
@@ -158,7 +162,7 @@ class Signing:
         """A sentence if there is a problem now, else empty."""
         if self._clock.mono() - self._forged_at <= FORGED_SHOWN_S:
             return "MAVLink frames with a wrong signature were received: their sender has another key, or forges frames"
-        return self._problem
+        return self._problem or (self._lost if self._clock.mono() < self._lost_until else "")
 
     # ------------------------------------------------------------ over a restart
 
@@ -205,12 +209,10 @@ class Signing:
         except FileNotFoundError:
             return
         except OSError as error:
-            self._problem = (
-                f"cannot read {self._path}: {error.strerror or error}; signing timestamps start from the clock"
-            )
+            self._lost = f"cannot read {self._path}: {error.strerror or error}; signing timestamps start from the clock"
             return
         except (ValueError, KeyError, TypeError, RecursionError):
-            self._problem = f"{self._path} is damaged: signing timestamps start from the clock"
+            self._lost = f"{self._path} is damaged: signing timestamps start from the clock"
             return
         # If the clock has advanced since, it bounds the times used after the save; otherwise it does not. After an orderly end there
         # are none: added at each restart, they would run ahead of the clocks of all agents, which follow.

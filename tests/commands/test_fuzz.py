@@ -28,7 +28,7 @@ class Scene:
 
     def __init__(self, *, signs: bool = True) -> None:
         self.clock, self.did, self.acks, self.message_received = FakeClock(utc=NOW), [], [], 0  # type: ignore[var-annotated]
-        self.system_id, self.component_id, self.signs = 7, 193, signs
+        self.system_id, self.component_id, self.agents, self.signs = 7, 193, 1, signs
         self.signing = Signing(KEY, self.clock)
         signer = Signer(self.signing, 0, unsigned_of("vehicle")) if signs else None
         self.codec = Codec(7, 193, IDS.__contains__, signer)

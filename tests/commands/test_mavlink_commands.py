@@ -43,7 +43,7 @@ class Scene:
 
     def __init__(self, *allowed: str, signs: bool = False) -> None:
         self.clock, self.sent, self.did, self.notes = FakeClock(), [], [], []  # type: ignore[var-annotated]
-        self.system_id, self.component_id, self.signs = 7, 193, signs
+        self.system_id, self.component_id, self.agents, self.signs = 7, 193, 1, signs
         self.urgencies: list[int] = []
         self.faults: tuple[Fault, ...] = ()
         self.raises: Exception | None = None
@@ -187,12 +187,26 @@ def test_the_status_line_is_sent_on_request() -> None:
 
 
 def test_a_heartbeat_on_request_has_the_status_word() -> None:
-    """Like the periodic one; one per second at most, since the budget does not limit heartbeats."""
+    """Like the periodic one."""
     scene = Scene("status")
     heartbeat, _ack = scene.ask(long(512, 0))
     assert status_word.decode(heartbeat.custom_mode) == {Slot.HOST: Level.OK}
     assert heartbeat.system_status == mavlink.MAV_STATE_ACTIVE
     assert scene.result(long(512, 0)) is CommandResult.TEMPORARILY_REJECTED
+
+
+@pytest.mark.parametrize(("agents", "periodic"), [(8, 30), (30, 12), (100, 4)])
+def test_requests_at_most_double_the_heartbeats_of_a_link(agents: int, periodic: int) -> None:
+    """The budget does not limit heartbeats. A sender that floods one link does not use up the requests of another."""
+    scene, sent = Scene("status"), 0
+    scene.agents = agents
+    for _ in range(60):
+        sent += len(scene.ask(long(512, 0))) - 1
+        scene.clock.advance(1.0)
+    assert sent == periodic
+    assert scene.result(long(512, 0)) is CommandResult.ACCEPTED
+    assert scene.result(long(512, 0)) is CommandResult.TEMPORARILY_REJECTED
+    assert scene.result(long(512, 0), link="cable") is CommandResult.ACCEPTED
 
 
 def test_the_figures_of_the_computer_are_those_of_the_host_check() -> None:

@@ -23,6 +23,7 @@ from phm.transport.mavlink_signing import (
     NAME,
     SAVE_S,
     TICKS,
+    WARNED_S,
     InvalidKey,
     SignatureResult,
     Signer,
@@ -380,13 +381,16 @@ def test_consecutive_restarts_do_not_run_ahead_of_a_good_clock(tmp_path: Path) -
     ],
 )
 def test_a_damaged_file_is_reported_and_the_clock_counts(tmp_path: Path, damage: bytes) -> None:
-    """And is replaced by the next save."""
+    """The start replaces it, and `companion` still names it: no check has run before."""
     (tmp_path / NAME).write_bytes(damage)
-    signing = Signing(KEY, at(), str(tmp_path))
-    assert "damaged" in signing.problem()
+    clock = at()
+    signing = Signing(KEY, clock, str(tmp_path))
     assert signing.stamp() == ticks(NOW)
-    signing.save()
+    signing.start()
+    assert "damaged" in signing.problem()
+    clock.advance(WARNED_S)
     assert signing.problem() == ""
+    signing.close()
     assert Signing(KEY, at(), str(tmp_path)).problem() == ""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import re
 import shlex
 import subprocess
@@ -72,6 +73,7 @@ FOREIGN = frozenset(
     ]
 )
 """Programs that are not part of PHM: only PHM's files among their arguments are looked at."""
+LOGS = ROOT / "docs" / "reference" / "logs.md"
 INLINE = re.compile(r"`(?:\$ )?((?:phm|scripts/\w+|python -m \w[\w.]*)(?: [^`\n]*)?)`")
 FILES = re.compile(r"^(?:docker|config|scripts|docs|sitl|tests|phm|checks)/[\w./-]+$")
 GENERATED = {"docker/agent.env", "docker/compose.override.yaml"}
@@ -221,6 +223,21 @@ def test_a_command_in_the_text_can_be_run(place: str, line: str) -> None:
     """The same for commands in sentences and tables."""
     for words in simple_commands(line.replace("...", "")):
         assert not problem(words), f"{place}: {line}: {problem(words)}"
+
+
+def test_the_shell_reads_a_record_with_its_rotated_files_in_order(tmp_path: Path) -> None:
+    """The newest rotated file is not compressed yet, and 12 of them come in another order by their names alone."""
+    record = {"": 13, ".1": 12} | {f".{number}.gz": 13 - number for number in range(2, 13)}
+    for ending, number in record.items():
+        line = b"%d\n" % number
+        (tmp_path / f"phm.jsonl{ending}").write_bytes(gzip.compress(line) if ending.endswith(".gz") else line)
+    pipes = re.findall(r"`((?:cat|ls|zcat) [^`]*phm\.jsonl[^`]*)`", LOGS.read_text("utf-8"))
+    assert pipes, LOGS
+    for pipe in pipes:
+        command = pipe.partition(" | jq ")[0]
+        done = subprocess.run(["bash", "-c", command], cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr) == (0, ""), pipe
+        assert done.stdout.split() == [str(number) for number in range(1, 14)], pipe
 
 
 def test_the_verbs_of_the_group_are_the_documented_ones() -> None:

@@ -29,7 +29,7 @@ NO_MESSAGE = re.compile(
     """,
     re.VERBOSE,
 )
-PROGRAMS = FOREIGN | {"phm", "python", "openssl", "zcat"}
+PROGRAMS = FOREIGN | {"phm", "python", "openssl"}
 FOREIGN_TEXT = {
     "This Fast DDS version doesn't have the security libraries": "Fast DDS",
     "Detected vehicle 7:193": "MAVProxy",

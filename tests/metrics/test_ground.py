@@ -11,6 +11,7 @@ from prometheus_client.openmetrics.parser import text_string_to_metric_families 
 from phm.core.model import Level, Slot
 from phm.gcs import metrics_catalog
 from phm.gcs.events import GcsEvent
+from phm.gcs.frames import POWEROFF
 from phm.gcs.metrics import MAX_SERIES, GroundMetrics
 from phm.gcs.web.routes import metrics as routes
 from phm.testing import FakeClock
@@ -71,6 +72,26 @@ def test_counters_of_events_that_never_happened_are_0() -> None:
     found = lines()
     assert not [line for line in found if line.startswith("phm_gcs_autopilot_armed{")]
     assert [line for line in found if line.startswith('phm_gcs_autopilot_age_seconds{agent="A05"}')]
+
+
+def test_an_agent_that_left_has_no_age() -> None:
+    """`PhmAgentLost` needs the age: an agent that was stopped on purpose is not lost. After a heartbeat it can be lost again."""
+    fleet = Fleet()
+    metrics = GroundMetrics(Station(fleet), FakeClock())
+
+    def lines(*, age: bool) -> list[str]:
+        names = "phm_gcs_agent_age_seconds{", "phm_gcs_agent_present{"
+        found = MetricsText(metrics.page).render("text/plain")[0].decode().splitlines()
+        return [line for line in found if line.startswith(names[not age])]
+
+    fleet.receive(phm_heartbeat(5))
+    assert lines(age=True) == ['phm_gcs_agent_age_seconds{agent="A05"} 0.0']
+    fleet.receive(phm_heartbeat(5, state=POWEROFF))
+    fleet.wait(60.0)
+    assert not lines(age=True)
+    assert lines(age=False) == ['phm_gcs_agent_present{agent="A05"} 0.0']
+    fleet.receive(phm_heartbeat(5))
+    assert lines(age=True) == ['phm_gcs_agent_age_seconds{agent="A05"} 0.0']
 
 
 def test_pauses_of_the_heartbeats_are_counted() -> None:

@@ -24,4 +24,4 @@ class NotifySettings(Section):
     events: list[NotifyEvent] = Field(default=["open", "escalate", "close"])
     """Which are sent: a fault opens, PHM gives up on it, it ends."""
     per_minute: Annotated[int, Field(ge=1, le=600)] = 10
-    """Most alerts a minute; the next one after a pause says how many were left out."""
+    """This many alerts immediately, then as many a minute; the next one says how many were left out."""
