@@ -10,7 +10,7 @@ from typing import Any
 
 from phm.core.clock import Clock
 from phm.core.settings import ContainerSettings, Settings
-from phm.facts import CannotTell, ContainerFact
+from phm.facts import Attachment, CannotTell, ContainerFact
 from phm.learn.autopilot_observer import AutopilotObserver
 from phm.learn.baseline import IGNORED
 from phm.learn.observations import Observations, ObservedContainer, ObservedFolder
@@ -172,7 +172,7 @@ class AgentObserver:
             processes = docker.processes(key)
         except CannotTell:
             processes = ()
-        answers = {entry.name: self._answers(docker, entry.address) for entry in now.networks}
+        answers = {entry.name: self._answers(docker, entry) for entry in now.networks}
         unseen, others = self._not_learned(devices, now)
         restarted = now.generation != before.generation
         return ObservedContainer(now, key, answers, processes, restarted, unseen, others)
@@ -193,10 +193,20 @@ class AgentObserver:
         return tuple(unseen), tuple(others)
 
     @staticmethod
-    def _answers(docker: Docker, address: str) -> bool | None:
-        """As the check of networks judges it: a single lost echo is not a silent address."""
+    def _answers(docker: Docker, entry: Attachment) -> bool | None:
+        """As the check of networks judges it: from the same network, or from the host's on a bridge.
+
+        Elsewhere the silence of an address says nothing about it. A single lost echo is not a silent address.
+        """
+        if not entry.address:
+            return None
         try:
-            return docker.reachable(address) or docker.reachable(address) if address else None
+            me = docker.own_container()
+            if me is None or not any(one.network_id == entry.network_id for one in me.networks):
+                on_host = me is None or me.network_mode == "host"
+                if not on_host or docker.network_driver(entry.name) != "bridge":
+                    return None
+            return docker.reachable(entry.address) or docker.reachable(entry.address)
         except CannotTell:
             return None
 

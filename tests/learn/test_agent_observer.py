@@ -99,6 +99,28 @@ def test_a_single_lost_echo_is_not_a_silent_address(
     assert watch(engine).containers[0].answers == {"swarm_net": responds}
 
 
+@pytest.mark.parametrize(
+    ("mode", "driver", "responds"),
+    [
+        ("elsewhere", "bridge", None),
+        ("host", "bridge", False),
+        ("host", "macvlan", None),
+        ("swarm_net", "macvlan", False),
+    ],
+)
+def test_an_address_is_judged_only_from_where_it_must_answer(
+    engine: FakeEngine, monkeypatch: pytest.MonkeyPatch, mode: str, driver: str, responds: bool | None
+) -> None:
+    """On the same network, or from the host's on a bridge: elsewhere an address that works is silent, too."""
+    engine.containers["ros_app"] = container("ros_app", networks=["swarm_net"])
+    engine.networks["swarm_net"] = {"Id": "id-of-swarm_net", "Driver": driver}
+    engine.containers["sidecar"] = container("sidecar", networks=[] if mode == "host" else [mode])
+    engine.containers["sidecar"]["HostConfig"]["NetworkMode"] = mode
+    monkeypatch.setattr(Docker, "reachable", lambda self, address: False)
+    (app,) = watch(engine, "ros_app", settings={"docker": {"socket": engine.url, "container": "sidecar"}}).containers
+    assert app.answers == {"swarm_net": responds}
+
+
 def test_without_an_engine_the_rest_is_watched(tmp_path: Path) -> None:
     """The missing engine is a problem in the result; it is an error only if a container was asked for."""
     settings = Settings.model_validate({"docker": {"socket": f"unix://{tmp_path}/none"}})
