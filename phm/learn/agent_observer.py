@@ -20,7 +20,7 @@ from phm.probes.docker import Docker
 from phm.probes.docker_facts import container_fact
 from phm.probes.file_tree import TreeListing
 from phm.probes.files import Files
-from phm.transport.docker import DockerEngine
+from phm.transport.docker import DockerEngine, EngineRefused
 
 NO_PROGRESS_S = 5.0
 """Reading a folder ends when no further file could be read for this long."""
@@ -127,16 +127,20 @@ class AgentObserver:
     def _entries(self, engine: DockerEngine) -> Mapping[str, ContainerSettings]:
         """Settings of the containers to watch, by key."""
         known = {entry.key: entry for entry in self.settings.containers}
+        names = {entry.name: entry.key for entry in known.values() if entry.name}
         wanted = self.request.containers or tuple(known)
+        running: Sequence[str] = ()
         try:
             running = self._running(engine)
         except CannotTell as reason:
-            if wanted or self.request.folders:
-                raise ObservationFailed(f"containers cannot be watched: {reason}") from None
-            self.problems.append(f"containers were not watched: {reason}")
-            return {}
+            configured = bool(wanted) and all(name in known or name in names for name in wanted)
+            # PHM's proxy refuses the list of all containers, and only other names need it.
+            if not (configured and isinstance(reason, EngineRefused)):
+                if wanted or self.request.folders:
+                    raise ObservationFailed(f"containers cannot be watched: {reason}") from None
+                self.problems.append(f"containers were not watched: {reason}")
+                return {}
         found: dict[str, ContainerSettings] = {}
-        names = {entry.name: entry.key for entry in known.values() if entry.name}
         for name in wanted or running:
             key = name if name in known else names.get(name, name)
             if key not in known and name not in running:

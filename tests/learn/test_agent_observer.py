@@ -21,6 +21,7 @@ from phm.learn.ros_observer import RosObserver
 from phm.probes.docker import Docker
 from phm.testing import FakeClock
 from tests.fakes.engine import FakeEngine, container
+from tests.fakes.engine_faults import Status
 
 
 class PassingClock(FakeClock):
@@ -128,6 +129,17 @@ def test_without_an_engine_the_rest_is_watched(tmp_path: Path) -> None:
     assert "containers were not watched" in seen.problems[0]
     with pytest.raises(ObservationFailed, match="containers cannot be watched"):
         AgentObserver(settings, ObservationRequest(5.0, ("app",), ros=False, links=False), PassingClock()).run()
+
+
+def test_configured_containers_are_watched_without_the_list_of_all(engine: FakeEngine) -> None:
+    """PHM's proxy refuses the list. Only a name that is not configured needs it."""
+    engine.fault = Status(403, "no", route="/containers/json")
+    configured = {"containers": [{"name": "ros_app", "alias": "app"}]}
+    for chosen in ((), ("ros_app",)):
+        assert [one.key for one in watch(engine, *chosen, settings=configured).containers] == ["app"]
+    with pytest.raises(ObservationFailed, match="containers cannot be watched"):
+        watch(engine, "ros_app", "other", settings=configured)
+    assert "containers were not watched" in watch(engine).problems[0]
 
 
 def test_a_folder_has_the_sums_of_its_files(engine: FakeEngine) -> None:
