@@ -229,3 +229,14 @@ def test_the_graph_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
         (10.0,) * 10,
         ["/a/planner"],
     )
+
+
+def test_an_empty_graph_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An empty graph is stable, so it counts as discovered; but the reason may be the domain or the network."""
+    Supervisor.graph = RosFact(0.0, 60.0, nodes={"/_phm_a": 1})
+    monkeypatch.setattr(ros_observer, "RosSupervisor", Supervisor)
+    ros = RosObserver(testing.settings().ros, "agent_1", PassingClock())
+    assert not ros.into(Observations(10.0)).ros_watched
+    ros.discover(10.0)
+    found = ros.into(Observations(10.0))
+    assert found.ros_watched and "no ROS node was found" in found.problems[0]
