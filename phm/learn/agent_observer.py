@@ -10,7 +10,7 @@ from typing import Any
 
 from phm.core.clock import Clock
 from phm.core.settings import ContainerSettings, Settings
-from phm.facts import CannotTell, ContainerFact
+from phm.facts import Attachment, CannotTell, ContainerFact
 from phm.learn.autopilot_observer import AutopilotObserver
 from phm.learn.baseline import IGNORED
 from phm.learn.observations import Observations, ObservedContainer, ObservedFolder
@@ -20,7 +20,7 @@ from phm.probes.docker import Docker
 from phm.probes.docker_facts import container_fact
 from phm.probes.file_tree import TreeListing
 from phm.probes.files import Files
-from phm.transport.docker import DockerEngine
+from phm.transport.docker import DockerEngine, EngineRefused
 
 NO_PROGRESS_S = 5.0
 """Reading a folder ends when no further file could be read for this long."""
@@ -127,16 +127,20 @@ class AgentObserver:
     def _entries(self, engine: DockerEngine) -> Mapping[str, ContainerSettings]:
         """Settings of the containers to watch, by key."""
         known = {entry.key: entry for entry in self.settings.containers}
+        names = {entry.name: entry.key for entry in known.values() if entry.name}
         wanted = self.request.containers or tuple(known)
+        running: Sequence[str] = ()
         try:
             running = self._running(engine)
         except CannotTell as reason:
-            if wanted or self.request.folders:
-                raise ObservationFailed(f"containers cannot be watched: {reason}") from None
-            self.problems.append(f"containers were not watched: {reason}")
-            return {}
+            configured = bool(wanted) and all(name in known or name in names for name in wanted)
+            # PHM's proxy refuses the list of all containers, and only other names need it.
+            if not (configured and isinstance(reason, EngineRefused)):
+                if wanted or self.request.folders:
+                    raise ObservationFailed(f"containers cannot be watched: {reason}") from None
+                self.problems.append(f"containers were not watched: {reason}")
+                return {}
         found: dict[str, ContainerSettings] = {}
-        names = {entry.name: entry.key for entry in known.values() if entry.name}
         for name in wanted or running:
             key = name if name in known else names.get(name, name)
             if key not in known and name not in running:
@@ -172,7 +176,7 @@ class AgentObserver:
             processes = docker.processes(key)
         except CannotTell:
             processes = ()
-        answers = {entry.name: self._answers(docker, entry.address) for entry in now.networks}
+        answers = {entry.name: self._answers(docker, entry) for entry in now.networks}
         unseen, others = self._not_learned(devices, now)
         restarted = now.generation != before.generation
         return ObservedContainer(now, key, answers, processes, restarted, unseen, others)
@@ -193,10 +197,20 @@ class AgentObserver:
         return tuple(unseen), tuple(others)
 
     @staticmethod
-    def _answers(docker: Docker, address: str) -> bool | None:
-        """As the check of networks judges it: a single lost echo is not a silent address."""
+    def _answers(docker: Docker, entry: Attachment) -> bool | None:
+        """As the check of networks judges it: from the same network, or from the host's on a bridge.
+
+        Elsewhere the silence of an address says nothing about it. A single lost echo is not a silent address.
+        """
+        if not entry.address:
+            return None
         try:
-            return docker.reachable(address) or docker.reachable(address) if address else None
+            me = docker.own_container()
+            if me is None or not any(one.network_id == entry.network_id for one in me.networks):
+                on_host = me is None or me.network_mode == "host"
+                if not on_host or docker.network_driver(entry.name) != "bridge":
+                    return None
+            return docker.reachable(entry.address) or docker.reachable(entry.address)
         except CannotTell:
             return None
 

@@ -58,6 +58,8 @@ class Baseline:
     notes: tuple[str, ...] = ()
     seen: frozenset[str] = frozenset()
     """All nodes and topics that were there, without the first slash; also those that were left out."""
+    ros_watched: bool = True
+    """Whether what is not in `seen` was not there."""
 
     def unsure(self) -> list[tuple[str, str]]:
         """Each note with the place that it is about."""
@@ -98,6 +100,7 @@ def learn(seen: Observations, agent_id: int | None = None) -> Baseline:
         seen=frozenset(
             name.lstrip("/") for name in (*seen.nodes, *seen.other_topics, *(one.name for one in seen.topics))
         ),
+        ros_watched=seen.ros_watched,
     )
 
 

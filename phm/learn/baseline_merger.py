@@ -83,8 +83,8 @@ class _Merger:
         self._list(tree, "containers", baseline.containers)
         if baseline.nodes or baseline.topics or "ros" in tree:
             ros = _child(tree, "ros")
-            self._list(ros, "nodes", baseline.nodes, mark=True)
-            self._list(ros, "topics", baseline.topics, mark=True)
+            self._list(ros, "nodes", baseline.nodes, mark=baseline.ros_watched)
+            self._list(ros, "topics", baseline.topics, mark=baseline.ros_watched)
             if not ros:
                 del tree["ros"]
         self._section(tree, "mavlink", baseline.mavlink)
@@ -100,7 +100,7 @@ class _Merger:
 
     def _list(self, parent: CommentedMap, key: str, learned: Sequence[Learned], *, mark: bool = False) -> None:
         """mark: entries of which nothing was seen."""
-        if not learned:
+        if not learned and not (mark and isinstance(parent.get(key), list)):
             return
         from ruamel.yaml.comments import CommentedMap, CommentedSeq
 

@@ -89,3 +89,5 @@ class Observations:
     ports: tuple[DeviceFact, ...] = ()
     autopilots: tuple[ObservedAutopilot, ...] = ()
     problems: tuple[str, ...] = ()
+    ros_watched: bool = False
+    """Whether the ROS graph was discovered, so that what is not in it was not there."""

@@ -44,6 +44,7 @@ class RosObserver:
         self._settings, self._agent, self._clock = settings, agent, clock
         self._probe: RosSupervisor | None = None
         self._problems: list[str] = []
+        self._watched = False
         self._nodes: dict[str, bool] = {}
         self._topics: dict[str, _Samples] = {}
         self._late: set[str] = set()
@@ -55,6 +56,7 @@ class RosObserver:
         fact = self._stable()
         if fact is None:
             return
+        self._watched = True
         self._others = {name for name in fact.others if _own(name)}
         topics = sorted(name for name, users in fact.others.items() if users.publishers and not _own(name))
         self._nodes = {name: True for name in sorted(fact.nodes) if not _hidden(name)}
@@ -96,8 +98,11 @@ class RosObserver:
             for name, one in self._topics.items()
             if one.publishers
         )
+        if self._watched and not self._nodes:
+            self._problem("no ROS node was found: compare ROS_DOMAIN_ID and networks with `phm doctor`")
         return replace(
             seen,
+            ros_watched=self._watched,
             nodes=dict(self._nodes),
             topics=topics,
             late_topics=tuple(sorted(self._late)),

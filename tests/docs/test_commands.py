@@ -78,6 +78,8 @@ INLINE = re.compile(r"`(?:\$ )?((?:phm|scripts/\w+|python -m \w[\w.]*)(?: [^`\n]
 FILES = re.compile(r"^(?:docker|config|scripts|docs|sitl|tests|phm|checks)/[\w./-]+$")
 GENERATED = {"docker/agent.env", "docker/compose.override.yaml"}
 """Made by the reader."""
+REPLACES = re.compile(r"(?:^|[&;] )(?:mv|cat) (\S+) (?:> )?\S+(?: *$| [&;])")
+"""Puts one file in the place of another."""
 OF_PYTEST = "--hypothesis-profile"
 """Options of pytest's plug-ins, for scripts that pass their arguments on."""
 
@@ -206,6 +208,16 @@ def of_phm(arguments: list[str]) -> str:
     return ""
 
 
+def unguarded(lines: list[str]) -> list[str]:
+    """Lines that replace a file by the output of a command, also if the command failed and the output is empty."""
+    written = {name for line in lines for name in re.findall(r"> (\S+)", line)}
+    return [
+        line
+        for line in lines
+        if any(name in written and f"> {name} && " not in line for name in REPLACES.findall(line))
+    ]
+
+
 @pytest.mark.parametrize("block", blocks("console"), ids=str)
 def test_a_console_block_can_be_run(block: Block) -> None:
     """It has a typed line, bash can parse each, and verbs, options, modules, scripts and files exist."""
@@ -246,3 +258,10 @@ def test_the_verbs_of_the_group_are_the_documented_ones() -> None:
     assert problem(shlex.split("python -m sitl up --agent-count 8")) and problem(["python", "-m", "sitl.none"])
     assert problem(shlex.split("sudo -u phm /opt/phm/bin/phm statsu")) and problem(["sudo", "unknown"])
     assert of_phm(["statsu"]) and of_phm(["status", "--no-such-option"]) and not of_phm(["status", "--watch"])
+
+
+def test_the_output_of_a_command_that_failed_replaces_no_file() -> None:
+    """It would be an empty `phm.yaml`, with which PHM does not start the next time: `&&` comes before `mv` or `cat`."""
+    assert unguarded(["phm learn > a", "mv a b && phm reload"]) and unguarded(["phm learn > a", "cat a > b"])
+    assert not unguarded(["phm learn > a && mv a b", "mv c d/", "cat c > d"])
+    assert unguarded([line for block in blocks("console") for line in typed(block)]) == []

@@ -21,6 +21,7 @@ from phm.learn.ros_observer import RosObserver
 from phm.probes.docker import Docker
 from phm.testing import FakeClock
 from tests.fakes.engine import FakeEngine, container
+from tests.fakes.engine_faults import Status
 
 
 class PassingClock(FakeClock):
@@ -99,6 +100,28 @@ def test_a_single_lost_echo_is_not_a_silent_address(
     assert watch(engine).containers[0].answers == {"swarm_net": responds}
 
 
+@pytest.mark.parametrize(
+    ("mode", "driver", "responds"),
+    [
+        ("elsewhere", "bridge", None),
+        ("host", "bridge", False),
+        ("host", "macvlan", None),
+        ("swarm_net", "macvlan", False),
+    ],
+)
+def test_an_address_is_judged_only_from_where_it_must_answer(
+    engine: FakeEngine, monkeypatch: pytest.MonkeyPatch, mode: str, driver: str, responds: bool | None
+) -> None:
+    """On the same network, or from the host's on a bridge: elsewhere an address that works is silent, too."""
+    engine.containers["ros_app"] = container("ros_app", networks=["swarm_net"])
+    engine.networks["swarm_net"] = {"Id": "id-of-swarm_net", "Driver": driver}
+    engine.containers["sidecar"] = container("sidecar", networks=[] if mode == "host" else [mode])
+    engine.containers["sidecar"]["HostConfig"]["NetworkMode"] = mode
+    monkeypatch.setattr(Docker, "reachable", lambda self, address: False)
+    (app,) = watch(engine, "ros_app", settings={"docker": {"socket": engine.url, "container": "sidecar"}}).containers
+    assert app.answers == {"swarm_net": responds}
+
+
 def test_without_an_engine_the_rest_is_watched(tmp_path: Path) -> None:
     """The missing engine is a problem in the result; it is an error only if a container was asked for."""
     settings = Settings.model_validate({"docker": {"socket": f"unix://{tmp_path}/none"}})
@@ -106,6 +129,17 @@ def test_without_an_engine_the_rest_is_watched(tmp_path: Path) -> None:
     assert "containers were not watched" in seen.problems[0]
     with pytest.raises(ObservationFailed, match="containers cannot be watched"):
         AgentObserver(settings, ObservationRequest(5.0, ("app",), ros=False, links=False), PassingClock()).run()
+
+
+def test_configured_containers_are_watched_without_the_list_of_all(engine: FakeEngine) -> None:
+    """PHM's proxy refuses the list. Only a name that is not configured needs it."""
+    engine.fault = Status(403, "no", route="/containers/json")
+    configured = {"containers": [{"name": "ros_app", "alias": "app"}]}
+    for chosen in ((), ("ros_app",)):
+        assert [one.key for one in watch(engine, *chosen, settings=configured).containers] == ["app"]
+    with pytest.raises(ObservationFailed, match="containers cannot be watched"):
+        watch(engine, "ros_app", "other", settings=configured)
+    assert "containers were not watched" in watch(engine).problems[0]
 
 
 def test_a_folder_has_the_sums_of_its_files(engine: FakeEngine) -> None:
@@ -195,3 +229,14 @@ def test_the_graph_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
         (10.0,) * 10,
         ["/a/planner"],
     )
+
+
+def test_an_empty_graph_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An empty graph is stable, so it counts as discovered; but the reason may be the domain or the network."""
+    Supervisor.graph = RosFact(0.0, 60.0, nodes={"/_phm_a": 1})
+    monkeypatch.setattr(ros_observer, "RosSupervisor", Supervisor)
+    ros = RosObserver(testing.settings().ros, "agent_1", PassingClock())
+    assert not ros.into(Observations(10.0)).ros_watched
+    ros.discover(10.0)
+    found = ros.into(Observations(10.0))
+    assert found.ros_watched and "no ROS node was found" in found.problems[0]

@@ -97,6 +97,16 @@ def test_an_entry_that_was_not_seen_is_kept_and_marked() -> None:
     assert "  - name: /${PHM_AGENT:-a}/lidar # learned: not seen while watching\n  - name: /a/other\n" in new
 
 
+def test_entries_are_marked_also_if_no_node_was_seen() -> None:
+    """As after an update to another ROS_DOMAIN_ID. Without a watch of the graph, nothing is known about them."""
+    ours = (Learned({"name": "ros_app"}),)
+    new = merge(FILE, Baseline(containers=ours), {})
+    assert "lidar # learned: not seen while watching\n" in new
+    assert "  - name: /a/scan # learned: not seen while watching\n" in new
+    assert merge(FILE, Baseline(containers=ours, ros_watched=False), {}) == FILE
+    assert "nodes" not in merge("ros: {silence: 3s}\n", Baseline(containers=ours), {})
+
+
 def test_comments_that_follow_stay_where_they_are() -> None:
     """An entry that is added comes before the comment about what follows."""
     ours = Learned({"name": "ros_app", "networks": ["net", "other"]})
