@@ -192,7 +192,7 @@ class Agent:
             self.advice.pop(line.fault or 0, None)
         elif line.word == "APPROVED":
             for fault, one in list(self.advice.items()):
-                if (one.slot, f"{one.action} {one.target}") == (line.slot, line.text):
+                if one.slot == line.slot and matches(line.text, f"{one.action} {one.target}"):  # ADVISE has less room
                     del self.advice[fault]
 
     def forget_containers(self) -> None:
@@ -221,13 +221,15 @@ class Agent:
             self.newer[slot] = max(levels, key=_RANK.__getitem__, default=Level.OK)
 
     def _worse(self, line: ParsedLine, level: Level, at: Stamp) -> None:
-        """A unit fails. A refresh repeats the worst one, whose own line may have been lost, and may know no other."""
+        """A unit fails. A refresh repeats the worst one, whose own line may have been lost, and may know no other. GAVE UP is about
+        a known one, too."""
         if line.slot and _RANK[level] > _RANK[self.current.get(Slot(line.slot), Level.STALE)]:
             self.newer[Slot(line.slot)] = level
         units = self.bad.setdefault(line.slot, OrderedDict())
-        known = next((text for text in units if matches(text, line.text)), None)
-        old = units[known] if known is not None and line.kind is LineKind.REFRESH else None
-        reported = old or ReportedProblem(level, line.text, at)
+        known = next((text for text in units if line.is_about(text)), None)
+        again = line.kind is LineKind.REFRESH or line.word == "GAVE UP"
+        old = units[known] if known is not None and again else None
+        reported = ReportedProblem(level, line.failure, at) if old is None else replace(old, level=level)
         units.pop(reported.text, None)
         units[reported.text] = reported
         while len(units) > MAX_BAD:

@@ -8,7 +8,7 @@ from phm.core.model import Level, Slot, Stamp
 from phm.gcs.events import describe_with_time
 from phm.gcs.fleet_state import FleetState
 from phm.gcs.frames import Heartbeat, StatusText
-from phm.wire import status_word
+from phm.wire import status_line, status_word
 from tests.gcs.bench import Ground, events, phm_heartbeat, text_frame
 
 
@@ -25,6 +25,27 @@ def test_lines_name_the_bad_units_until_they_recover(ground: Ground) -> None:
     assert [bad["text"] for bad in ground.agent(7)["bad"]] == ["node_1 dead"]
     ground.receive(phm_heartbeat(7))
     assert ground.agent(7)["bad"] == []
+
+
+def test_giving_up_adds_no_second_unit(ground: Ground) -> None:
+    """Its line is about the failure that was reported, with a number and perhaps a target: both end together."""
+    failed = {Slot.CONTAINER: Level.ERROR}
+    ground.receive(phm_heartbeat(7, failed), text_frame(7, "A07 FAIL 2 exited 1"))
+    ground.receive(text_frame(7, "A07 GAVE UP 2 ros_app: exited 1 #17"), text_frame(7, "A07 FAIL 2 nav exited 1"))
+    assert [bad["text"] for bad in ground.agent(7)["bad"]] == ["exited 1", "nav exited 1"]
+    ground.receive(text_frame(7, "A07 OK 2 cleared: exited 1", 5))
+    assert [bad["text"] for bad in ground.agent(7)["bad"]] == ["nav exited 1"]
+    ground.receive(text_frame(7, "A07 GAVE UP 2 nav exited 1 #18"), text_frame(7, "A07 OK 2 cleared: nav exited 1", 5))
+    assert ground.agent(7)["bad"] == []
+
+
+@pytest.mark.parametrize("end", ["refused", "failed"])
+def test_the_result_of_a_request_is_not_a_failing_unit(ground: Ground, end: str) -> None:
+    """It is shown, and the agent stays OK."""
+    text = status_line.operator_request(7, Slot.CONTAINER, "restart", end, "ros_app")
+    ground.receive(phm_heartbeat(7), text_frame(7, text, 4))
+    agent = ground.agent(7)
+    assert (agent["how"], agent["bad"], agent["line"]["text"]) == ("OK", [], f"A07 WARN 2 restart {end}: ros_app")
 
 
 def test_a_refresh_corrects_missed_lines(ground: Ground) -> None:
