@@ -127,7 +127,8 @@ class Agent:
         return Level.STALE if known is Level.OK and self.partial else known
 
     def heartbeat(self, beat: Heartbeat) -> dict[Slot, tuple[Level, Level]]:
-        """Take over its status word; the changed slots with their old and new level."""
+        """Take over its status word; the slots that differ from the last word, or from a line since then, with their old and new
+        level."""
         if beat.state == BOOT and self.state not in (BOOT, None):
             self.restarts += 1
             self.bad.clear()
@@ -138,7 +139,7 @@ class Agent:
             levels, self.problem = status_word.decode(beat.custom_mode), ""
         except ValueError as error:
             levels, self.problem = {}, str(error)
-        old, self.levels = self.levels, levels
+        old, current, self.levels = self.levels, self.current, levels
         self.newer.clear()
         self.word, self.state = beat.custom_mode, beat.state
         for slot in [slot for slot in self.bad if not levels.get(Slot(slot), Level.STALE).bad]:
@@ -149,8 +150,12 @@ class Agent:
                 del self.advice[fault]
             elif not level.bad:  # PHM does not send it again when its unit is known again
                 self.advice[fault] = replace(one, doubtful=True)
-        pairs = {slot: (old.get(slot, Level.STALE), levels.get(slot, Level.STALE)) for slot in Slot}
-        return {slot: pair for slot, pair in pairs.items() if pair[0] is not pair[1]}
+        pairs = [
+            (slot, known.get(slot, Level.STALE), levels.get(slot, Level.STALE))
+            for known in (current, old)
+            for slot in Slot
+        ]
+        return {slot: (before, now) for slot, before, now in pairs if before is not now}
 
     def line(self, line: ParsedLine, at: Stamp) -> None:
         """Take over a line that this agent sent about itself."""

@@ -93,6 +93,14 @@ def test_a_line_counts_until_the_next_heartbeat(ground: Ground) -> None:
     assert ground.agent(7)["how"] == "ERROR"
 
 
+def test_a_heartbeat_that_contradicts_a_line_is_an_event(ground: Ground) -> None:
+    """Also if its word is the last one: PHM restarted the node between two heartbeats, and the line about it was lost."""
+    ground.receive(phm_heartbeat(7), text_frame(7, "A07 FAIL 6 node_1 dead"))
+    changed = [body["changed"] for body in events(ground.receive(phm_heartbeat(7)), "slots")]
+    assert changed == [{"6": ["ERROR", "OK"]}]
+    assert ground.receive(phm_heartbeat(7)) == []
+
+
 def test_the_end_of_an_unknown_failure_proves_nothing(ground: Ground) -> None:
     """The heartbeat says ERROR, and the lines about its causes were not received: others may last."""
     ground.receive(phm_heartbeat(7, {Slot.NODES: Level.ERROR}), text_frame(7, "A07 OK 6 node_1 restarted", 5))
