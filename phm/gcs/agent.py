@@ -19,6 +19,8 @@ from phm.wire.tunnel import FaultDetail, PeerView
 PHM_COMPONENT = 193
 MAX_BAD = 4
 """Failing units that are kept for a slot: PHM reports up to ten in all."""
+MAX_LINES = 2
+"""Lines about changes that are kept of a failing unit: FAIL and GAVE UP."""
 MAX_DETAILS = 4
 MAX_ADVICE, MAX_CONTAINERS = 8, 64
 MAX_CHANGES, AGAIN_S = 16, 5.0
@@ -43,6 +45,8 @@ class ReportedProblem:
     level: Level
     text: str
     at: Stamp
+    lines: tuple[str, ...] = ()
+    """Word and text of the lines about changes by which it was reported at this level; a refresh raises no alarm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,9 +236,14 @@ class Agent:
             self.newer[Slot(line.slot)] = level
         units = self.bad.setdefault(line.slot, OrderedDict())
         known = next((text for text in units if line.is_about(text)), None)
-        again = line.kind is LineKind.REFRESH or line.word == "GAVE UP"
-        old = units[known] if known is not None and again else None
-        reported = ReportedProblem(level, line.failure, at) if old is None else replace(old, level=level)
+        old = units[known] if known is not None else None
+        lines = old.lines if old is not None and old.level is level else ()
+        if line.kind is LineKind.CHANGE:
+            lines = (*(one for one in lines if one != _key(line)), _key(line))[-MAX_LINES:]
+        if old is not None and (line.kind is LineKind.REFRESH or line.word == "GAVE UP"):
+            reported = replace(old, level=level, lines=lines)
+        else:
+            reported = ReportedProblem(level, line.failure, at, lines)
         units.pop(reported.text, None)
         units[reported.text] = reported
         while len(units) > MAX_BAD:
@@ -243,13 +252,14 @@ class Agent:
             self.bad = {line.slot: OrderedDict({reported.text: reported})}
 
     def repeats(self, line: ParsedLine, text: str, now: float) -> bool:
-        """Whether the line is a repetition."""
+        """Whether the line is a repetition. Agents send all failures again to each ground station that appears: such a line is one
+        until its failure has ended. Call it before `line`."""
         if line.kind is not LineKind.CHANGE:
             old, self.refreshed[line.kind] = self.refreshed.get(line.kind), text
             return old == text
         again = self.changes.get(text, now) is not None
         self.changes.add(text, True, now)
-        return again
+        return again or any(_key(line) in bad.lines for bad in self.bad.get(line.slot, {}).values())
 
     def newest(self, slot: int, level: Level) -> ReportedProblem | None:
         """The newest unit of this level that was reported for a slot."""
@@ -269,3 +279,7 @@ class Agent:
             return None
         del self.details[detail.fault]
         return b"".join(parts[number].text for number in sorted(parts)).decode("utf-8", "replace")
+
+
+def _key(line: ParsedLine) -> str:
+    return f"{line.word} {line.text}"

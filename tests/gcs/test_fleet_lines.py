@@ -88,6 +88,36 @@ def test_an_agent_with_two_links_to_the_ground_is_reported_once(ground: Ground) 
     assert describe_with_time(ground.receive(text_frame(7, "A07 FAIL 6 node_1 dead"))[0])
 
 
+@pytest.mark.parametrize("line", ["A07 FAIL 6 node_1 dead", "A07 GAVE UP 6 node_1 dead #17"])
+def test_a_failure_sent_again_for_a_new_ground_station_is_a_repetition(ground: Ground, line: str) -> None:
+    """It was received, has not ended, and its slot was never OK since. After that, or if it is worse, it is new."""
+    bad = phm_heartbeat(7, {Slot.NODES: Level.ERROR})
+
+    def repeat(text: str) -> bool:
+        return bool(events(ground.receive(text_frame(7, text)), "text")[0]["repeat"])
+
+    assert [repeat("A07 WARN 6 node_1 dead"), repeat("A07 FAIL 6 node_1 dead")] == [False, False]
+    assert repeat(line) is (line == "A07 FAIL 6 node_1 dead")
+    ground.wait(20, bad)
+    assert [repeat("A07 FAIL 6 node_1 dead"), repeat(line), repeat("A07 FAIL 6 node_2 dead")] == [True, True, False]
+    ground.wait(6, bad)  # a second link may repeat a line for 5 s
+    ground.receive(text_frame(7, "A07 OK 6 node_1 restarted", 5))
+    assert repeat(line) is False
+    ground.wait(20, bad)
+    ground.receive(phm_heartbeat(7))
+    assert repeat(line) is False
+
+
+def test_a_failure_known_only_from_a_refresh_is_new_when_its_line_arrives(ground: Ground) -> None:
+    """A refresh raises no alarm, and the line about the change may have been lost. A failure that got worse again is new, too."""
+    ground.receive(phm_heartbeat(7, {Slot.NODES: Level.ERROR}), text_frame(7, "A07 FAIL 11111011 6 node_1 dead", 6))
+    found: list[bool] = []
+    for word in ("FAIL", "WARN", "FAIL"):
+        ground.wait(6, phm_heartbeat(7, {Slot.NODES: Level.ERROR}))
+        found += [one["repeat"] for one in events(ground.receive(text_frame(7, f"A07 {word} 6 node_1 dead")), "text")]
+    assert found == [False, False, False]
+
+
 def test_a_slot_missing_from_a_refresh_is_stale(ground: Ground) -> None:
     """Unused and unknown are equal in the status word: the refresh distinguishes them."""
     ground.receive(phm_heartbeat(7), text_frame(7, "A07 STALE 11111--- 6", 6))
