@@ -19,6 +19,8 @@ from phm.wire.tunnel import FaultDetail, PeerView
 PHM_COMPONENT = 193
 MAX_BAD = 4
 """Failing units that are kept for a slot: PHM reports up to ten in all."""
+MAX_LINES = 2
+"""Lines about changes that are kept of a failing unit: FAIL and GAVE UP."""
 MAX_DETAILS = 4
 MAX_ADVICE, MAX_CONTAINERS = 8, 64
 MAX_CHANGES, AGAIN_S = 16, 5.0
@@ -43,6 +45,8 @@ class ReportedProblem:
     level: Level
     text: str
     at: Stamp
+    lines: tuple[str, ...] = ()
+    """Word and text of the lines about changes by which it was reported at this level; a refresh raises no alarm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +131,8 @@ class Agent:
         return Level.STALE if known is Level.OK and self.partial else known
 
     def heartbeat(self, beat: Heartbeat) -> dict[Slot, tuple[Level, Level]]:
-        """Take over its status word; the changed slots with their old and new level."""
+        """Take over its status word; the slots that differ from the last word, or from a line since then, with their old and new
+        level."""
         if beat.state == BOOT and self.state not in (BOOT, None):
             self.restarts += 1
             self.bad.clear()
@@ -138,7 +143,7 @@ class Agent:
             levels, self.problem = status_word.decode(beat.custom_mode), ""
         except ValueError as error:
             levels, self.problem = {}, str(error)
-        old, self.levels = self.levels, levels
+        old, current, self.levels = self.levels, self.current, levels
         self.newer.clear()
         self.word, self.state = beat.custom_mode, beat.state
         for slot in [slot for slot in self.bad if not levels.get(Slot(slot), Level.STALE).bad]:
@@ -149,8 +154,12 @@ class Agent:
                 del self.advice[fault]
             elif not level.bad:  # PHM does not send it again when its unit is known again
                 self.advice[fault] = replace(one, doubtful=True)
-        pairs = {slot: (old.get(slot, Level.STALE), levels.get(slot, Level.STALE)) for slot in Slot}
-        return {slot: pair for slot, pair in pairs.items() if pair[0] is not pair[1]}
+        pairs = [
+            (slot, known.get(slot, Level.STALE), levels.get(slot, Level.STALE))
+            for known in (current, old)
+            for slot in Slot
+        ]
+        return {slot: (before, now) for slot, before, now in pairs if before is not now}
 
     def line(self, line: ParsedLine, at: Stamp) -> None:
         """Take over a line that this agent sent about itself."""
@@ -192,7 +201,7 @@ class Agent:
             self.advice.pop(line.fault or 0, None)
         elif line.word == "APPROVED":
             for fault, one in list(self.advice.items()):
-                if (one.slot, f"{one.action} {one.target}") == (line.slot, line.text):
+                if one.slot == line.slot and matches(line.text, f"{one.action} {one.target}"):  # ADVISE has less room
                     del self.advice[fault]
 
     def forget_containers(self) -> None:
@@ -221,13 +230,20 @@ class Agent:
             self.newer[slot] = max(levels, key=_RANK.__getitem__, default=Level.OK)
 
     def _worse(self, line: ParsedLine, level: Level, at: Stamp) -> None:
-        """A unit fails. A refresh repeats the worst one, whose own line may have been lost, and may know no other."""
+        """A unit fails. A refresh repeats the worst one, whose own line may have been lost, and may know no other. GAVE UP is about
+        a known one, too."""
         if line.slot and _RANK[level] > _RANK[self.current.get(Slot(line.slot), Level.STALE)]:
             self.newer[Slot(line.slot)] = level
         units = self.bad.setdefault(line.slot, OrderedDict())
-        known = next((text for text in units if matches(text, line.text)), None)
-        old = units[known] if known is not None and line.kind is LineKind.REFRESH else None
-        reported = old or ReportedProblem(level, line.text, at)
+        known = next((text for text in units if line.is_about(text)), None)
+        old = units[known] if known is not None else None
+        lines = old.lines if old is not None and old.level is level else ()
+        if line.kind is LineKind.CHANGE:
+            lines = (*(one for one in lines if one != _key(line)), _key(line))[-MAX_LINES:]
+        if old is not None and (line.kind is LineKind.REFRESH or line.word == "GAVE UP"):
+            reported = replace(old, level=level, lines=lines)
+        else:
+            reported = ReportedProblem(level, line.failure, at, lines)
         units.pop(reported.text, None)
         units[reported.text] = reported
         while len(units) > MAX_BAD:
@@ -236,13 +252,14 @@ class Agent:
             self.bad = {line.slot: OrderedDict({reported.text: reported})}
 
     def repeats(self, line: ParsedLine, text: str, now: float) -> bool:
-        """Whether the line is a repetition."""
+        """Whether the line is a repetition. Agents send all failures again to each ground station that appears: such a line is one
+        until its failure has ended. Call it before `line`."""
         if line.kind is not LineKind.CHANGE:
             old, self.refreshed[line.kind] = self.refreshed.get(line.kind), text
             return old == text
         again = self.changes.get(text, now) is not None
         self.changes.add(text, True, now)
-        return again
+        return again or any(_key(line) in bad.lines for bad in self.bad.get(line.slot, {}).values())
 
     def newest(self, slot: int, level: Level) -> ReportedProblem | None:
         """The newest unit of this level that was reported for a slot."""
@@ -262,3 +279,7 @@ class Agent:
             return None
         del self.details[detail.fault]
         return b"".join(parts[number].text for number in sorted(parts)).decode("utf-8", "replace")
+
+
+def _key(line: ParsedLine) -> str:
+    return f"{line.word} {line.text}"

@@ -6,6 +6,7 @@ pause is learned from the longer ones: loss doubles some, and an answer to a gro
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from enum import Enum
 
@@ -38,12 +39,14 @@ class Presence:
         self.received_s: float | None = None
         self.leaving = False
         self._gaps: deque[float] = deque(maxlen=GAPS)
+        self._was_lost = False
+        """Since the last usual pause there was one as long as a loss."""
 
     def heartbeat(self, now: float, *, leaving: bool = False) -> None:
         """A heartbeat was received; `leaving`: it is the last one."""
         if self.received_s is not None and not self.leaving:
             gap_s = now - self.received_s
-            if COPY_S < gap_s <= LONGEST_S:
+            if COPY_S < gap_s <= LONGEST_S and not self._is_outage(gap_s):
                 self._gaps.append(gap_s)
         self.received_s, self.leaving = now, leaving
 
@@ -52,6 +55,16 @@ class Presence:
         if len(self._gaps) < ENOUGH:
             return max(guess_s, *self._gaps, 0.0)
         return sorted(self._gaps)[int(LONGER * len(self._gaps))]
+
+    def _is_outage(self, gap_s: float) -> bool:
+        """Whether a gap is the first one as long as a loss: the second in sequence is another period, of a swarm that grows."""
+        usual_s = self.period_s(0.0) if len(self._gaps) >= ENOUGH else math.inf
+        if gap_s > LOST_PERIODS * usual_s:
+            first, self._was_lost = not self._was_lost, True
+            return first
+        if gap_s > usual_s / 2:  # a shorter one is an additional heartbeat or came by another link
+            self._was_lost = False
+        return False
 
     def silent_s(self, now: float) -> float | None:
         return None if self.received_s is None else max(0.0, now - self.received_s)

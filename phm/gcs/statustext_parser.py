@@ -21,7 +21,9 @@ _SWARM = re.compile(r"SWARM (?P<healthy>[0-9]{1,3})/(?P<members>[0-9]{1,3}) (?P<
 _VERB = rf"(?:{'|'.join(PAST_VERBS.values())}|fixed by \S{{1,12}})"
 _RECOVERED = re.compile(rf"{_VERB}: (?P<brief>.+)|(?P<subject>\S+) {_VERB}")
 _ADVICE = re.compile(r"(?P<action>\S+) (?P<target>.*?) ?#(?P<fault>[0-9]{1,9})(?: (?P<valid_s>[0-9]{1,4})s)?")
-_FAULT = re.compile(r"#([0-9]{1,9})$")
+_FAULT = re.compile(r" ?#([0-9]{1,9})$")
+_REQUEST = re.compile(rf"(?:{'|'.join(filter(None, PAST_VERBS))}) (?:failed|refused): ")
+"""The result of an operator's request, which is not the state of a unit."""
 _MORE = re.compile(r" \+[0-9]+$")
 _NAMED = re.compile(r"A([0-9]{2,3}):")
 LEVELS = {"FAIL": Level.ERROR, "GAVE UP": Level.ERROR, "WARN": Level.WARN}
@@ -63,7 +65,19 @@ class ParsedLine:
     @property
     def level(self) -> Level | None:
         """The level that it reports for a unit: ERROR or WARN, else None."""
+        if self.kind is LineKind.CHANGE and self.word == "WARN" and _REQUEST.match(self.text):
+            return None
         return LEVELS.get(self.word) if self.kind in (LineKind.CHANGE, LineKind.REFRESH) and self.text else None
+
+    @property
+    def failure(self) -> str:
+        """The text of the failure, without the number that only GAVE UP adds."""
+        return _FAULT.sub("", self.text) if self.word == "GAVE UP" else self.text
+
+    def is_about(self, text: str) -> bool:
+        """Whether it reports the failure that an earlier line reported with `text`; GAVE UP may have the target before it."""
+        rest = self.failure.partition(": ")[2] if self.word == "GAVE UP" else ""
+        return matches(text, self.failure) or matches(text, rest)
 
     @property
     def advice(self) -> ParsedAdvice | None:

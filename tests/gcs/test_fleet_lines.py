@@ -8,7 +8,7 @@ from phm.core.model import Level, Slot, Stamp
 from phm.gcs.events import describe_with_time
 from phm.gcs.fleet_state import FleetState
 from phm.gcs.frames import Heartbeat, StatusText
-from phm.wire import status_word
+from phm.wire import status_line, status_word
 from tests.gcs.bench import Ground, events, phm_heartbeat, text_frame
 
 
@@ -25,6 +25,27 @@ def test_lines_name_the_bad_units_until_they_recover(ground: Ground) -> None:
     assert [bad["text"] for bad in ground.agent(7)["bad"]] == ["node_1 dead"]
     ground.receive(phm_heartbeat(7))
     assert ground.agent(7)["bad"] == []
+
+
+def test_giving_up_adds_no_second_unit(ground: Ground) -> None:
+    """Its line is about the failure that was reported, with a number and perhaps a target: both end together."""
+    failed = {Slot.CONTAINER: Level.ERROR}
+    ground.receive(phm_heartbeat(7, failed), text_frame(7, "A07 FAIL 2 exited 1"))
+    ground.receive(text_frame(7, "A07 GAVE UP 2 ros_app: exited 1 #17"), text_frame(7, "A07 FAIL 2 nav exited 1"))
+    assert [bad["text"] for bad in ground.agent(7)["bad"]] == ["exited 1", "nav exited 1"]
+    ground.receive(text_frame(7, "A07 OK 2 cleared: exited 1", 5))
+    assert [bad["text"] for bad in ground.agent(7)["bad"]] == ["nav exited 1"]
+    ground.receive(text_frame(7, "A07 GAVE UP 2 nav exited 1 #18"), text_frame(7, "A07 OK 2 cleared: nav exited 1", 5))
+    assert ground.agent(7)["bad"] == []
+
+
+@pytest.mark.parametrize("end", ["refused", "failed"])
+def test_the_result_of_a_request_is_not_a_failing_unit(ground: Ground, end: str) -> None:
+    """It is shown, and the agent stays OK."""
+    text = status_line.operator_request(7, Slot.CONTAINER, "restart", end, "ros_app")
+    ground.receive(phm_heartbeat(7), text_frame(7, text, 4))
+    agent = ground.agent(7)
+    assert (agent["how"], agent["bad"], agent["line"]["text"]) == ("OK", [], f"A07 WARN 2 restart {end}: ros_app")
 
 
 def test_a_refresh_corrects_missed_lines(ground: Ground) -> None:
@@ -65,6 +86,36 @@ def test_an_agent_with_two_links_to_the_ground_is_reported_once(ground: Ground) 
         ground.receive(phm_heartbeat(7))
     assert ground.agent(7)["period_s"] == 1.5
     assert describe_with_time(ground.receive(text_frame(7, "A07 FAIL 6 node_1 dead"))[0])
+
+
+@pytest.mark.parametrize("line", ["A07 FAIL 6 node_1 dead", "A07 GAVE UP 6 node_1 dead #17"])
+def test_a_failure_sent_again_for_a_new_ground_station_is_a_repetition(ground: Ground, line: str) -> None:
+    """It was received, has not ended, and its slot was never OK since. After that, or if it is worse, it is new."""
+    bad = phm_heartbeat(7, {Slot.NODES: Level.ERROR})
+
+    def repeat(text: str) -> bool:
+        return bool(events(ground.receive(text_frame(7, text)), "text")[0]["repeat"])
+
+    assert [repeat("A07 WARN 6 node_1 dead"), repeat("A07 FAIL 6 node_1 dead")] == [False, False]
+    assert repeat(line) is (line == "A07 FAIL 6 node_1 dead")
+    ground.wait(20, bad)
+    assert [repeat("A07 FAIL 6 node_1 dead"), repeat(line), repeat("A07 FAIL 6 node_2 dead")] == [True, True, False]
+    ground.wait(6, bad)  # a second link may repeat a line for 5 s
+    ground.receive(text_frame(7, "A07 OK 6 node_1 restarted", 5))
+    assert repeat(line) is False
+    ground.wait(20, bad)
+    ground.receive(phm_heartbeat(7))
+    assert repeat(line) is False
+
+
+def test_a_failure_known_only_from_a_refresh_is_new_when_its_line_arrives(ground: Ground) -> None:
+    """A refresh raises no alarm, and the line about the change may have been lost. A failure that got worse again is new, too."""
+    ground.receive(phm_heartbeat(7, {Slot.NODES: Level.ERROR}), text_frame(7, "A07 FAIL 11111011 6 node_1 dead", 6))
+    found: list[bool] = []
+    for word in ("FAIL", "WARN", "FAIL"):
+        ground.wait(6, phm_heartbeat(7, {Slot.NODES: Level.ERROR}))
+        found += [one["repeat"] for one in events(ground.receive(text_frame(7, f"A07 {word} 6 node_1 dead")), "text")]
+    assert found == [False, False, False]
 
 
 def test_a_slot_missing_from_a_refresh_is_stale(ground: Ground) -> None:

@@ -93,6 +93,14 @@ def test_a_line_counts_until_the_next_heartbeat(ground: Ground) -> None:
     assert ground.agent(7)["how"] == "ERROR"
 
 
+def test_a_heartbeat_that_contradicts_a_line_is_an_event(ground: Ground) -> None:
+    """Also if its word is the last one: PHM restarted the node between two heartbeats, and the line about it was lost."""
+    ground.receive(phm_heartbeat(7), text_frame(7, "A07 FAIL 6 node_1 dead"))
+    changed = [body["changed"] for body in events(ground.receive(phm_heartbeat(7)), "slots")]
+    assert changed == [{"6": ["ERROR", "OK"]}]
+    assert ground.receive(phm_heartbeat(7)) == []
+
+
 def test_the_end_of_an_unknown_failure_proves_nothing(ground: Ground) -> None:
     """The heartbeat says ERROR, and the lines about its causes were not received: others may last."""
     ground.receive(phm_heartbeat(7, {Slot.NODES: Level.ERROR}), text_frame(7, "A07 OK 6 node_1 restarted", 5))
@@ -150,6 +158,35 @@ def test_slow_heartbeats_of_a_large_swarm_are_not_a_loss(ground: Ground) -> None
     ground.wait(100, phm_heartbeat(7), every=25)
     assert events(ground.wait(50, phm_heartbeat(7), every=50), "presence") == []
     assert ground.agent(7)["period_s"] == 25.0
+
+
+def test_outages_are_not_the_usual_pause(ground: Ground) -> None:
+    """At the edge of radio range an agent is lost again and again: the next loss is seen as soon as the first."""
+    ground.receive(phm_heartbeat(7))
+    ground.wait(18, phm_heartbeat(7), every=2)
+    for _ in range(3):
+        ground.wait(60)
+        ground.receive(phm_heartbeat(7))
+        ground.wait(2, phm_heartbeat(7), every=2)
+    ground.wait(11)
+    assert (ground.agent(7)["period_s"], ground.agent(7)["presence"]) == (2.0, "lost")
+
+
+@pytest.mark.parametrize("second_link_s", [0.0, 0.5])
+def test_a_longer_period_of_a_swarm_that_grows_is_learned(ground: Ground, second_link_s: float) -> None:
+    """Pauses that follow each other are not outages, also if each heartbeat arrives a second time by another link."""
+
+    def receive(count: int, period_s: float) -> None:
+        for _ in range(count):
+            ground.receive(phm_heartbeat(7))
+            ground.wait(second_link_s)
+            ground.receive(phm_heartbeat(7))
+            ground.wait(period_s - second_link_s)
+
+    receive(9, 2.0)
+    receive(8, 40.0)
+    assert ground.agent(7)["period_s"] == 40.0 - second_link_s
+    assert ground.agent(7)["presence"] == "alive"
 
 
 def test_an_answer_to_a_ground_station_does_not_change_the_period(ground: Ground) -> None:

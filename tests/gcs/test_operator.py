@@ -15,7 +15,7 @@ from phm.gcs.frames import CommandAck
 from phm.gcs.operator import ATTEMPTS, REPLY_S, RESEND_S, Exchange
 from phm.gcs.station import GroundStation
 from phm.testing import FakeClock, settings
-from phm.wire import tunnel
+from phm.wire import status_line, tunnel
 from phm.wire.command import container_hash
 from tests.gcs.bench import Ground, events, phm_heartbeat, text_frame, tunnel_frame
 
@@ -62,6 +62,15 @@ def test_advice_ends_when_it_can_no_longer_be_approved(ground: Ground, over: Any
     assert [one["fault"] for one in ground.agent(7)["advice"]] == [17]
     ground.receive(over)
     assert ground.agent(7)["advice"] == []
+
+
+@pytest.mark.parametrize("action", ["restart", "join_network"])
+def test_advice_about_a_long_name_ends_with_its_approval(ground: Ground, action: str) -> None:
+    """The two lines have different room for the name."""
+    name = "mavlink-router-container"
+    ground.receive(text_frame(7, status_line.advise(7, Slot.CONTAINER, action, name, 18, 60), 4))
+    ground.receive(text_frame(7, status_line.approved(7, Slot.CONTAINER, action, name), 5))
+    assert [one["fault"] for one in ground.agent(7)["advice"]] == [17]
 
 
 def test_advice_stays_while_its_slot_is_unknown(ground: Ground) -> None:

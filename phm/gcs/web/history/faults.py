@@ -14,15 +14,17 @@ from datetime import datetime, timezone
 from typing import Any
 
 from phm.gcs import statustext_parser
-from phm.gcs.statustext_parser import LineKind, ParsedLine, matches
+from phm.gcs.statustext_parser import LineKind, ParsedLine
 
 Json = dict[str, Any]
 MAX_OPEN, MAX_STEPS, MAX_QUIET = 2000, 40, 200
 LINE_S = 60.0
 """Seconds by which the line about an end may follow the heartbeat that shows this end."""
-BY_HEARTBEAT = "by its heartbeat"
+BY_HEARTBEAT, BY_REFRESH = "by its heartbeat", "by its refresh"
 _SINCE = re.compile(r"since ([0-9]{2}):([0-9]{2}):([0-9]{2}) UTC")
 _ENDED = re.compile(r"(?:cleared|recovered): |\S+ recovered$")
+_VALUE = re.compile(r"(?<!\S)[0-9.]+ ?(?=(?:%|ms|s|Hz|kB|MB|GB|C|V)(?!\S))")
+"""A measured value: it is followed by its unit. Other numbers name something."""
 _BAD = ("WARN", "ERROR")
 DAY_S = 86_400.0
 
@@ -154,31 +156,44 @@ class FaultList:
 
     def _bad(self, who: str, line: ParsedLine, utc_s: float) -> list[FaultEntry]:
         level = line.level.name if line.level is not None else ""
-        same = [one for one in self._of(who) if one.slot == line.slot and matches(one.text, line.text)]
+        found = self._of(who)
+        here = [one for one in found if one.slot == line.slot]
+        same = [one for one in here if line.is_about(one.text)]
+        if not same:
+            same = [one for one in here if _VALUE.sub("", one.text) == _VALUE.sub("", line.failure)]
+        others = [one for one in found if one not in same[:1]] if line.alone else []
+        over = self._close(others, utc_s, BY_REFRESH)
         if same:
+            value = not line.is_about(same[0].text)
+            if value:
+                same[0].text = line.failure
             if same[0].level == level:
-                return []
+                return over + (same[:1] if value else [])
             same[0].level = level
             same[0].step("confirmed", utc_s, f"{line.word} {line.text}", level=level)
-            return same[:1]
+            return over + same[:1]
         fault = FaultEntry(
-            f"{who} {line.slot} {utc_s:.3f} {line.text}", who, line.slot, line.text, level, utc_s, line.fault
+            f"{who} {line.slot} {utc_s:.3f} {line.text}", who, line.slot, line.failure, level, utc_s, line.fault
         )
         step = "gave up" if line.word == "GAVE UP" else "confirmed"  # the line of the fault itself was not received
         fault.step(step, utc_s, f"{line.word} {line.text}", level=level)
         self._open[fault.key] = fault
         while len(self._open) > MAX_OPEN:
             self._open.popitem(last=False)
-        return [fault]
+        return [*over, fault]
 
     def _about(
         self, found: list[FaultEntry], line: ParsedLine, number: int | None, step: str, text: str, utc_s: float
     ) -> list[FaultEntry]:
-        """A step of the fault with this number, else of the newest one of the slot."""
-        here = [one for one in found if one.slot == line.slot]
-        chosen = next((one for one in here if number is not None and one.number == number), here[-1] if here else None)
-        if chosen is None:
+        """A step of the fault with this number, else of the newest one of the slot that the line names. If it names none, it is
+        about the newest that is not known to be another."""
+        here = [one for one in reversed(found) if one.slot == line.slot]
+        free = [one for one in here if number is None or one.number in (None, number)]
+        ranked = [one for one in free if number is not None and one.number == number]
+        ranked += [one for one in free if _names(line, one)] + [one for one in here if _names(line, one)] + free
+        if not ranked:
             return []
+        chosen = ranked[0]
         chosen.number = number if number is not None else chosen.number
         chosen.step(step, utc_s, text)
         return [chosen]
@@ -206,6 +221,14 @@ class FaultList:
 
     def _of(self, who: str) -> list[FaultEntry]:
         return [one for one in self._open.values() if one.who == who]
+
+
+def _names(line: ParsedLine, fault: FaultEntry) -> bool:
+    """Whether a line about a fault has its text, or one about an action has a target of that text, whose middle may be cut."""
+    if line.word == "GAVE UP":
+        return line.is_about(fault.text)
+    target = line.advice.target if line.advice is not None else line.text.partition(" ")[2]
+    return target.partition("..")[0] in fault.text
 
 
 def _moment(near: float, hours: int, minutes: int, seconds: int) -> float:
