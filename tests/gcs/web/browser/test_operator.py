@@ -10,6 +10,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from phm.core.model import Level, Slot
 from phm.transport.dialect import mavlink
+from phm.wire import tunnel
 from tests.fakes.until import until
 from tests.gcs.test_daemon import agent
 from tests.gcs.web.browser.scene import Fleet, GroundProcess, fleet, ground, tab
@@ -49,6 +50,17 @@ def containers(page: Page) -> None:
     expect(page.get_by_role("button", name="restart app")).to_be_visible()
 
 
+def confirmation(page: Page, request: str) -> str:
+    """What the dialog of a request says; the request is not sent."""
+    page.get_by_role("button", name=request).click()
+    dialog = page.get_by_role("dialog")
+    expect(dialog).to_be_visible()
+    words = dialog.inner_text()
+    dialog.get_by_role("button", name="Cancel").click()
+    expect(dialog).to_be_hidden()
+    return words
+
+
 def test_a_restart_is_confirmed_and_the_refusal_says_why(page: Page, station: GroundProcess) -> None:
     """The dialog says what will happen; Cancel sends nothing; the agent's reason is shown."""
     page.goto(f"{station.url}#/agent/A07")
@@ -65,6 +77,24 @@ def test_a_restart_is_confirmed_and_the_refusal_says_why(page: Page, station: Gr
     expect(page.locator(".toasts .t-error")).to_contain_text("A07 restart app")
     expect(page.locator(".toasts .t-error")).to_contain_text("recover")
     expect(page.locator(".requests .g-error")).to_contain_text("recover")
+
+
+def test_the_confirmation_of_a_restart_follows_the_arming(page: Page, station: GroundProcess, agents: Fleet) -> None:
+    """Also when the vehicle is armed after its containers were listed."""
+    agents.armed[1] = False
+    try:
+        agents.send_tunnel(1, tunnel.details("containers", "1 ros_app")[0])
+        page.goto(f"{station.url}#/agent/A01")
+        expect(page.locator("#panel .facts")).to_contain_text("autopilot disarmed")
+        assert "starts it again. The agent decides" in confirmation(page, "restart ros_app")
+        agents.armed[1] = True
+        until(
+            lambda: "starts it again. The vehicle is armed." in confirmation(page, "restart ros_app"),
+            "the sentence",
+            step=lambda: page.wait_for_timeout(50),
+        )
+    finally:
+        del agents.armed[1]
 
 
 def test_an_approval_is_confirmed_and_the_answer_is_shown(page: Page, station: GroundProcess, agents: Fleet) -> None:

@@ -95,7 +95,8 @@ function show() {
   render(parts.layers, [received(agent), agent.slots, agent.last_slots, agent.bad, agent.checks], () => layers(agent));
   render(parts.views, viewKey(agent), () => views(agent));
   showFaults(agent);
-  const key = JSON.stringify(CHOICE_KEYS.map((name) => agent[name]));
+  // The confirmation of a restart says whether the vehicle is armed.
+  const key = JSON.stringify([...CHOICE_KEYS.map((name) => agent[name]), agent.autopilot?.armed, agent.autopilot?.presence]);
   if (key !== choicesFor && store.link === "live") {
     choicesFor = key;
     askChoices(key);
