@@ -183,7 +183,7 @@ def test_requests_appear_when_a_busy_server_answers_again(page: Page) -> None:
 
 
 def test_a_new_critical_is_shown_and_rings_until_it_is_acknowledged(page: Page, agents: Fleet) -> None:
-    """It rings, flashes and marks its agent; silence ends the bell alone; to acknowledge ends the mark."""
+    """It rings, flashes and marks its agent; silence ends the bell alone; to acknowledge ends the mark, not the silence."""
     page.evaluate(
         """() => { window.tones = 0; const real = AudioContext.prototype.createOscillator;
         AudioContext.prototype.createOscillator = function () { window.tones++; return real.call(this); }; }"""
@@ -205,5 +205,23 @@ def test_a_new_critical_is_shown_and_rings_until_it_is_acknowledged(page: Page, 
     expect(alarms).to_contain_text("A02 (2)")
     assert int(page.evaluate("window.tones")) == silenced
     alarms.get_by_role("button", name="Acknowledge all").click()
-    expect(alarms).to_be_hidden()
     expect(page.locator(".row[data-name=A02] .bell")).to_have_text("")
+    expect(alarms).to_contain_text("all agents are silenced for")
+    alarms.get_by_role("button", name="End the silence").click()
+    expect(alarms).to_be_hidden()
+    agents.say(2, "A02 FAIL 11110001 6 mapper dead")
+    page.wait_for_function("silenced => window.tones > silenced", arg=silenced)
+    alarms.get_by_role("button", name="Acknowledge all").click()
+    expect(alarms).to_be_hidden()
+
+
+def test_the_panel_of_an_agent_ends_the_silence_of_all(page: Page, station: GroundProcess, agents: Fleet) -> None:
+    """To end its own silence would change nothing: the button says whose silence it ends."""
+    agents.say(3, "A03 FAIL 11111011 6 gripper dead")
+    alarms = page.get_by_role("region", name="Alarms")
+    alarms.get_by_role("button", name="Silence for").click()
+    alarms.get_by_role("button", name="Acknowledge all").click()
+    page.goto(f"{station.url}#/agent/A03")
+    page.locator("#panel").get_by_role("button", name="End the silence of all agents").click()
+    expect(page.locator("#panel .own-alarm")).to_be_empty()
+    expect(alarms).to_be_hidden()
