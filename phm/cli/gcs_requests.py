@@ -144,7 +144,10 @@ class _Client:
             )
 
     def only_advice(self) -> OperatorCommand:
-        """Wait for the full state of the agent: a radio may send a second action seconds after the first. Raises ClickException."""
+        """Wait for the full state of the agent: a radio may send a second action seconds after the first.
+
+        Raises ClickException.
+        """
         from phm.gcs import operator
 
         self._until(lambda: bool(self._row()["advice"]), ADVICE_S)

@@ -111,7 +111,7 @@ REFRESH = "A05 FAIL 10111011 2 ros_app exited 1 +1"
 
 
 class SlowAgent:
-    """A station and its queue in fake time: agent 5 sends a heartbeat at each look, and each line at its time in seconds."""
+    """A station and its queue in fake time: agent 5 sends a heartbeat at each look, and each line at its time (s)."""
 
     def __init__(self, lines: Mapping[float, str]) -> None:
         self._ground, self._lines = Ground(), sorted(lines.items())

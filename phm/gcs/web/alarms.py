@@ -57,7 +57,7 @@ class AlarmList:
             return {"count": alarm.count, "at": round(alarm.at, 2) if alarm.count else None, "silent_until": silent}
 
     def silent_until(self, now: float) -> float | None:
-        """Until when all agents are silenced; None: they are not. A silence that one agent has beside it is in its row alone."""
+        """Until when all agents are silenced; None: they are not. The silence of one agent is in its row alone."""
         with self._lock:
             return round(self._all_silent_until, 2) if self._all_silent_until > now else None
 
