@@ -132,6 +132,8 @@ class _Client:
         self._station, self._queue, self._clock, self._agent = station, queue, clock, agent
         self._never = threading.Event()
         self.lines: list[str] = []
+        self._advised = self._complete = False
+        """Advice was received; and since the last one a refresh, with which an agent's full state ends."""
 
     def find(self) -> None:
         """Wait until the agent is received. Raises ClickException."""
@@ -142,15 +144,25 @@ class _Client:
             )
 
     def only_advice(self) -> OperatorCommand:
+        """Wait for the full state of the agent: a radio may send a second action seconds after the first.
+
+        Raises ClickException.
+        """
         from phm.gcs import operator
 
-        if not self._until(lambda: bool(self._row()["advice"]), ADVICE_S):
-            raise click.ClickException(f"{self._row()['name']} has no recommended action to approve")
-        advice = self._row()["advice"]
+        self._until(lambda: bool(self._row()["advice"]), ADVICE_S)
+        if self._row()["advice"]:
+            self._until(lambda: self._complete or len(self._row()["advice"]) > 1, ADVICE_S)
+        row = self._row()
+        name, advice = row["name"], row["advice"]
+        if not advice:
+            raise click.ClickException(f"{name} has no recommended action to approve")
+        numbers = "; ".join(f"{one['fault']}: {one['action']} {one['target']}" for one in advice)
         if len(advice) > 1:
-            numbers = "; ".join(f"{one['fault']}: {one['action']} {one['target']}" for one in advice)
+            raise click.UsageError(f"{name} advises several actions, choose one by its number: {numbers}")
+        if not self._complete:
             raise click.UsageError(
-                f"{self._row()['name']} advises several actions, choose one by its number: {numbers}"
+                f"{name} may advise more than has arrived, choose the action by its number: {numbers}"
             )
         return operator.approve(advice[0]["fault"], f"{advice[0]['action']} {advice[0]['target']}".strip())
 
@@ -198,8 +210,14 @@ class _Client:
             body = item.event.body
             if exchange is not None:
                 exchange.receive(item.event, self._clock.mono())
-            if item.event.event == "text" and body.get("agent") == self._agent and body.get("kind") == "change":
+            if item.event.event != "text" or body.get("agent") != self._agent:
+                continue
+            if body.get("kind") == "change":
                 self.lines.append(body["text"])
+            if body.get("word") == "ADVISE":
+                self._advised, self._complete = True, False
+            elif body.get("kind") == "refresh":
+                self._complete = self._advised
 
     def _until(self, found: Callable[[], bool], limit_s: float) -> bool:
         end = self._clock.mono() + limit_s

@@ -141,7 +141,8 @@ class FleetSnapshot:
         self._early = now - began <= LOST_PERIODS * fleet.guess_s
         """An agent that was never received may not have sent a heartbeat yet."""
         self._closed = ", ".join(shut) if fleet.links and len(shut) == len(fleet.links) else ""
-        received = [self._states[key] for key, agent in fleet.agents.items() if agent.first is not None]
+        # An agent that has left is silent on purpose: it says nothing about the ground's link.
+        received = [state for state in self._states.values() if state not in (PresenceState.NEVER, PresenceState.LEFT)]
         self._all_silent = (
             len(received) > 1
             and all(state is PresenceState.LOST for state in received)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from phm.core.model import Level, Slot
-from phm.gcs.frames import RadioStatus
+from phm.gcs.frames import POWEROFF, RadioStatus
 from phm.wire.tunnel import PeerView
 from tests.gcs.bench import Ground, autopilot, events, phm_heartbeat, text_frame, tunnel_frame
 
@@ -67,6 +67,22 @@ def test_a_silent_agent_is_explained_by_other_received_frames(ground: Ground) ->
     ]
     ground.store.links({"gcs": (False, "Connection refused")}, ground.clock.stamp())
     assert ground.agent(7)["hop"] == {"name": "ground link", "evidence": "gcs: Connection refused", "certain": True}
+
+
+def test_an_agent_that_has_left_says_nothing_about_the_ground_link(ground: Ground) -> None:
+    """It is silent on purpose; the others, all silent after it, still point to the ground's own link."""
+    ground.receive(phm_heartbeat(7), phm_heartbeat(8), phm_heartbeat(9))
+    ground.receive(phm_heartbeat(9, state=POWEROFF))
+    ground.wait(20)
+    assert ground.agent(7)["hop"] == {"name": "ground link", "evidence": "all agents are silent", "certain": False}
+
+
+def test_one_silent_agent_is_not_all(ground: Ground) -> None:
+    """Where the only other one has left, the silence may be the agent's own."""
+    ground.receive(phm_heartbeat(7), phm_heartbeat(9))
+    ground.receive(phm_heartbeat(9, state=POWEROFF))
+    ground.wait(20)
+    assert ground.agent(7)["hop"]["name"] == "radio or vehicle"
 
 
 def test_an_agent_that_was_never_received_gets_time() -> None:

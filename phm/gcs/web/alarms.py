@@ -56,6 +56,11 @@ class AlarmList:
             silent = round(until, 2) if until > now else None
             return {"count": alarm.count, "at": round(alarm.at, 2) if alarm.count else None, "silent_until": silent}
 
+    def silent_until(self, now: float) -> float | None:
+        """Until when all agents are silenced; None: they are not. The silence of one agent is in its row alone."""
+        with self._lock:
+            return round(self._all_silent_until, 2) if self._all_silent_until > now else None
+
     def control(self, body: Mapping[str, Any], now: float) -> None:
         """`acknowledge`, `silence` for `for_s`, `unsilence`; agent null: all. Raises ValueError."""
         what, name, for_s = body.get("do"), body.get("agent"), body.get("for_s")

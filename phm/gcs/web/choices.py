@@ -25,10 +25,9 @@ def choices(agent: Mapping[str, Any]) -> list[Json]:
         valid = f" The approval is valid for {one['valid_s']:g} s." if one["valid_s"] is not None else ""
         will = f"{name} does what it advises for fault #{one['fault']}: {what}.{valid} {_DECIDES}"
         found.append(_choice("approve", f"approve {what} (#{one['fault']})", will, fault=one["fault"]))
+    armed = _armed(agent["autopilot"])
     for container in agent["containers"]:
-        armed = agent["autopilot"] is not None and agent["autopilot"]["armed"]
-        flying = " The vehicle is armed." if armed else ""
-        will = f"{name} stops the container {container} and starts it again.{flying} {_DECIDES}"
+        will = f"{name} stops the container {container} and starts it again.{armed} {_DECIDES}"
         found.append(_choice("restart", f"restart {container}", will, container=container))
         will = f"{name} takes no action on {container} and raises no alarm about it until the hold ends. {_DECIDES}"
         found.append(_choice("hold", f"hold {container}", will, container=container))
@@ -75,6 +74,13 @@ def command_of(body: Mapping[str, Any], agent: Mapping[str, Any]) -> OperatorCom
     raise ValueError(
         "do must be check, approve, restart, hold, release, details, containers, load, load_off, rates or rates_off"
     )
+
+
+def _armed(autopilot: Mapping[str, Any] | None) -> str:
+    """The sentence about arming; empty only for a vehicle that is known to be disarmed. autopilot: as in the row."""
+    if autopilot is None or autopilot["presence"] not in ("alive", "late"):
+        return " It is not known whether the vehicle is armed."
+    return " The vehicle is armed." if autopilot["armed"] else ""
 
 
 def _approve(body: Mapping[str, Any], agent: Mapping[str, Any]) -> OperatorCommand:

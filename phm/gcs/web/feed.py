@@ -176,6 +176,7 @@ class StationFeed:
         body = dict(event.body)
         now = event.at.mono
         del body["autopilots"]  # they are in the rows
+        body["alarms_silent_until"] = self._alarms.silent_until(now)
         return body, {agent["name"]: self._row(agent, now) for agent in body.pop("agents")}
 
     def _row(self, agent: Mapping[str, Any], now: float) -> Json:

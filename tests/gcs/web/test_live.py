@@ -64,6 +64,18 @@ def test_a_critical_line_is_an_alarm_until_it_is_acknowledged(here: Ground) -> N
     until(lambda: live.agent("A14")["alarm"] is None, "nothing left")
 
 
+def test_a_silence_of_all_is_in_the_state_of_the_ground(here: Ground) -> None:
+    """Without any alarm, so that the page can end it."""
+    live, client = here.live(), here.client()
+    client.session()
+    until(lambda: "alarms_silent_until" in live.state.get("ground", {}), "the state")
+    assert live.state["ground"]["alarms_silent_until"] is None
+    client.post("/api/alarms", {"do": "silence", "agent": None, "for_s": 600})
+    until(lambda: live.state["ground"]["alarms_silent_until"], "the silence")
+    client.post("/api/alarms", {"do": "unsilence", "agent": None})
+    until(lambda: live.state["ground"]["alarms_silent_until"] is None, "its end")
+
+
 def test_the_stream_and_the_snapshot_of_serve_are_there_as_well(here: Ground) -> None:
     """With the keys of gcs.md."""
     vehicle = here.vehicle(16)

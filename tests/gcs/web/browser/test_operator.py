@@ -10,6 +10,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from phm.core.model import Level, Slot
 from phm.transport.dialect import mavlink
+from phm.wire import tunnel
 from tests.fakes.until import until
 from tests.gcs.test_daemon import agent
 from tests.gcs.web.browser.scene import Fleet, GroundProcess, fleet, ground, tab
@@ -49,6 +50,17 @@ def containers(page: Page) -> None:
     expect(page.get_by_role("button", name="restart app")).to_be_visible()
 
 
+def confirmation(page: Page, request: str) -> str:
+    """What the dialog of a request says; the request is not sent."""
+    page.get_by_role("button", name=request).click()
+    dialog = page.get_by_role("dialog")
+    expect(dialog).to_be_visible()
+    words = dialog.inner_text()
+    dialog.get_by_role("button", name="Cancel").click()
+    expect(dialog).to_be_hidden()
+    return words
+
+
 def test_a_restart_is_confirmed_and_the_refusal_says_why(page: Page, station: GroundProcess) -> None:
     """The dialog says what will happen; Cancel sends nothing; the agent's reason is shown."""
     page.goto(f"{station.url}#/agent/A07")
@@ -65,6 +77,24 @@ def test_a_restart_is_confirmed_and_the_refusal_says_why(page: Page, station: Gr
     expect(page.locator(".toasts .t-error")).to_contain_text("A07 restart app")
     expect(page.locator(".toasts .t-error")).to_contain_text("recover")
     expect(page.locator(".requests .g-error")).to_contain_text("recover")
+
+
+def test_the_confirmation_of_a_restart_follows_the_arming(page: Page, station: GroundProcess, agents: Fleet) -> None:
+    """Also when the vehicle is armed after its containers were listed."""
+    agents.armed[1] = False
+    try:
+        agents.send_tunnel(1, tunnel.details("containers", "1 ros_app")[0])
+        page.goto(f"{station.url}#/agent/A01")
+        expect(page.locator("#panel .facts")).to_contain_text("autopilot disarmed")
+        assert "starts it again. The agent decides" in confirmation(page, "restart ros_app")
+        agents.armed[1] = True
+        until(
+            lambda: "starts it again. The vehicle is armed." in confirmation(page, "restart ros_app"),
+            "the sentence",
+            step=lambda: page.wait_for_timeout(50),
+        )
+    finally:
+        del agents.armed[1]
 
 
 def test_an_approval_is_confirmed_and_the_answer_is_shown(page: Page, station: GroundProcess, agents: Fleet) -> None:
@@ -153,7 +183,7 @@ def test_requests_appear_when_a_busy_server_answers_again(page: Page) -> None:
 
 
 def test_a_new_critical_is_shown_and_rings_until_it_is_acknowledged(page: Page, agents: Fleet) -> None:
-    """It rings, flashes and marks its agent; silence ends the bell alone; to acknowledge ends the mark."""
+    """It rings, flashes and marks its agent; silence ends the bell alone; to acknowledge ends the mark, not the silence."""
     page.evaluate(
         """() => { window.tones = 0; const real = AudioContext.prototype.createOscillator;
         AudioContext.prototype.createOscillator = function () { window.tones++; return real.call(this); }; }"""
@@ -175,5 +205,23 @@ def test_a_new_critical_is_shown_and_rings_until_it_is_acknowledged(page: Page, 
     expect(alarms).to_contain_text("A02 (2)")
     assert int(page.evaluate("window.tones")) == silenced
     alarms.get_by_role("button", name="Acknowledge all").click()
-    expect(alarms).to_be_hidden()
     expect(page.locator(".row[data-name=A02] .bell")).to_have_text("")
+    expect(alarms).to_contain_text("all agents are silenced for")
+    alarms.get_by_role("button", name="End the silence").click()
+    expect(alarms).to_be_hidden()
+    agents.say(2, "A02 FAIL 11110001 6 mapper dead")
+    page.wait_for_function("silenced => window.tones > silenced", arg=silenced)
+    alarms.get_by_role("button", name="Acknowledge all").click()
+    expect(alarms).to_be_hidden()
+
+
+def test_the_panel_of_an_agent_ends_the_silence_of_all(page: Page, station: GroundProcess, agents: Fleet) -> None:
+    """To end its own silence would change nothing: the button says whose silence it ends."""
+    agents.say(3, "A03 FAIL 11111011 6 gripper dead")
+    alarms = page.get_by_role("region", name="Alarms")
+    alarms.get_by_role("button", name="Silence for").click()
+    alarms.get_by_role("button", name="Acknowledge all").click()
+    page.goto(f"{station.url}#/agent/A03")
+    page.locator("#panel").get_by_role("button", name="End the silence of all agents").click()
+    expect(page.locator("#panel .own-alarm")).to_be_empty()
+    expect(alarms).to_be_hidden()

@@ -95,7 +95,8 @@ function show() {
   render(parts.layers, [received(agent), agent.slots, agent.last_slots, agent.bad, agent.checks], () => layers(agent));
   render(parts.views, viewKey(agent), () => views(agent));
   showFaults(agent);
-  const key = JSON.stringify(CHOICE_KEYS.map((name) => agent[name]));
+  // The confirmation of a restart says whether the vehicle is armed.
+  const key = JSON.stringify([...CHOICE_KEYS.map((name) => agent[name]), agent.autopilot?.armed, agent.autopilot?.presence]);
   if (key !== choicesFor && store.link === "live") {
     choicesFor = key;
     askChoices(key);
@@ -112,12 +113,14 @@ async function askChoices(key) {
 function showAlarm(agent) {
   const count = agent.alarm?.count ?? 0;
   const until = agent.alarm?.silent_until ?? null;
-  render(parts.alarm, [count, until, mayOperate()], () => {
+  // Its own silence may end earlier than that of all: to end it would change nothing.
+  const ofAll = until !== null && until === store.ground.alarms_silent_until;
+  render(parts.alarm, [count, until, ofAll, mayOperate()], () => {
     if (!count && !until) return [];
     const words = [count ? `${count} CRITICAL not acknowledged` : "", until ? `silenced for ${age(until - (now() ?? until))}` : ""];
     return [el("strong", { text: words.filter(Boolean).join(", ") }), ...(mayOperate() ? [
       count ? button("Acknowledge", () => alarm({ do: "acknowledge", agent: shown })) : null,
-      until ? button("End the silence", () => alarm({ do: "unsilence", agent: shown }))
+      until ? button(ofAll ? "End the silence of all agents" : "End the silence", () => alarm({ do: "unsilence", agent: ofAll ? null : shown }))
         : button("Silence 10 min", () => alarm({ do: "silence", agent: shown, for_s: 600 })),
     ] : [])];
   });

@@ -17,6 +17,7 @@ export function startAlarms() {
   // A browser plays no sound before the first touch or key.
   for (const event of ["pointerdown", "keydown"]) addEventListener(event, wake, { once: true });
   on("rows", update);
+  on("ground", show);
   on("link", () => store.link === "live" || (first = true));
   on("tick", times);
 }
@@ -104,33 +105,42 @@ function ringing() {
 
 function show() {
   const found = ringing();
+  const until = store.ground.alarms_silent_until ?? null;
   const bar = byId("alarms");
-  bar.hidden = !found.length;
+  // Shown as long as no alarm would ring, so that this can be seen and ended.
+  bar.hidden = !found.length && until === null;
   const total = found.reduce((sum, agent) => sum + agent.alarm.count, 0);
   document.title = `${total ? `(${total}!) ` : ""}PHM`;
-  render(bar, [found.map((agent) => [agent.name, agent.alarm.count, Boolean(silent(agent.alarm))]), mayOperate()], () => [
-    el("strong", { text: `${total} CRITICAL not acknowledged` }),
+  render(bar, [found.map((agent) => [agent.name, agent.alarm.count, Boolean(silent(agent.alarm))]), until, mayOperate()], () => [
+    el("strong", {}, found.length ? `${total} CRITICAL not acknowledged` : "", found.length && until ? ", " : "",
+      until ? el("span", { "data-until": until }) : null),
     el("ul", {}, ...found.slice(0, 12).map((agent) => el("li", {},
       el("a", { href: `#/agent/${encodeURIComponent(agent.name)}`, text: `${agent.name} (${agent.alarm.count})` }),
       el("span", { class: "since", "data-name": agent.name }))),
       found.length > 12 ? el("li", { text: `and ${found.length - 12} more` }) : null),
-    mayOperate() ? controls() : null,
+    mayOperate() ? controls(found.length, until) : null,
   ]);
   times();
 }
 
-function controls() {
+function controls(count, until) {
+  const end = until ? button("End the silence", () => alarm({ do: "unsilence", agent: null })) : null;
+  if (!count) return el("span", { class: "controls" }, end);
   const minutes = el("select", { "aria-label": "Silence for", "data-focus": "minutes" },
     ...MINUTES.map((count) => el("option", { value: count, text: `${count} min` })));
   minutes.value = "10";
   return el("span", { class: "controls" }, button("Acknowledge all", () => alarm({ do: "acknowledge", agent: null })),
-    button("Silence for", () => alarm({ do: "silence", agent: null, for_s: 60 * Number(minutes.value) })), minutes);
+    button("Silence for", () => alarm({ do: "silence", agent: null, for_s: 60 * Number(minutes.value) })), minutes, end);
 }
 
 function times() {
   for (const node of byId("alarms").querySelectorAll(".since")) {
     const found = store.agents.get(node.dataset.name)?.alarm;
     if (found) setText(node, `${age(ageOf(found.at))}${silent(found) ? ", silenced" : ""}`);
+  }
+  for (const node of byId("alarms").querySelectorAll("[data-until]")) {
+    const current = now();
+    setText(node, `all agents are silenced${current === null ? "" : ` for ${age(Number(node.dataset.until) - current)}`}`);
   }
 }
 
