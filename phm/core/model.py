@@ -268,6 +268,7 @@ class Fault:
                       it failed, or earlier, since its last fault opened and its container was started.
     ok_since_start_s: total seconds for which the unit was published as OK since PHM last saw its target container start;
                       interruptions do not reset it.
+    ok_in_run_before_s: the same in the run of the container before that, if PHM ended it; 0: something else did.
     start_seen:       whether PHM saw that start at all. If not, the container has been running for longer than PHM.
     pause_s:          the longest earlier ERROR of this unit that ended by itself, without a start of its container, in
                       seconds; 0: none did since PHM started.
@@ -291,6 +292,7 @@ class Fault:
     suspects: tuple[str, ...] = ()
     ok_s: float = 0.0
     ok_since_start_s: float = 0.0
+    ok_in_run_before_s: float = 0.0
     start_seen: bool = False
     pause_s: float = 0.0
     generation: str = ""

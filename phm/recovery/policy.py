@@ -280,12 +280,17 @@ def _once(condition: str, settings: RecoverySettings) -> bool:
 
 
 def _never_ok(fault: Fault, settings: RecoverySettings, start_s: float) -> bool:
-    """Whether the unit must have been OK in this generation for an action to help, and was not."""
+    """Whether the unit must have been OK in this generation for an action to help, and was not. If PHM itself began the generation,
+    it must restore what was OK in the one before, once: a restart in an overload may leave nodes that never find each other.
+    """
     condition = fault.result.condition
     reached = condition in ONLY_IF_REACHED_BEFORE and condition not in settings.ladders
     if not (reached or _once(condition, settings)):
         return False
-    least_s = start_s + OK_AFTER_START_S if fault.start_seen else OK_AFTER_FOUND_S
+    after_start_s = start_s + OK_AFTER_START_S
+    if not reached and fault.ok_in_run_before_s >= after_start_s:
+        return False
+    least_s = after_start_s if fault.start_seen else OK_AFTER_FOUND_S
     known = fault.result.evidence.never_ok
     return fault.ok_since_start_s < least_s if known is None else known
 

@@ -79,6 +79,7 @@ class FaultRecords:
             suspects=self._suspects(record),
             ok_s=max(record.longest_ok_s, _present_ok_s(record, now)),
             ok_since_start_s=record.ok_since_start_s(now.mono),
+            ok_in_run_before_s=record.ok_in_run_before_s,
             start_seen=record.container_started != NEVER,
             pause_s=record.pause_s,
             generation=self._starts.newest(result.target) if result.target else "",

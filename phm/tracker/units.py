@@ -121,6 +121,8 @@ class UnitRecord:
     """When its container was last observed to start."""
     ok_before_s: float = 0.0
     """Total time published as OK since that start, without the current period."""
+    ok_in_run_before_s: float = 0.0
+    """Total time published as OK in the run of the container before, if PHM ended that one."""
     longest_ok_s: float = 0.0
     """The longest period published as OK since that start and since its last fault opened, without the current one."""
     unverified_from: float = NEVER
@@ -197,11 +199,12 @@ class UnitRecord:
     def record_start(self, now: float, *, by_phm: bool) -> None:
         """Its container has been started: OK times from before no longer count.
 
-        Nor for an open fault, unless PHM itself has restarted the container to restore what was OK before.
+        Nor for an open fault, unless PHM itself has restarted the container to restore what was OK before: that is remembered.
         """
+        self.ok_in_run_before_s = max(self.ok_in_run_before_s, self.ok_since_start_s(now)) if by_phm else 0.0
         self.container_started, self.ok_before_s, self.longest_ok_s = now, 0.0, 0.0
         if self.fault is not None and not by_phm:
-            self.fault = replace(self.fault, ok_since_start_s=0.0, start_seen=True)
+            self.fault = replace(self.fault, ok_since_start_s=0.0, ok_in_run_before_s=0.0, start_seen=True)
 
     def note_ok_end(self, now: float) -> None:
         """It is no longer published as OK. A period that began before the start of its container counts from there on."""

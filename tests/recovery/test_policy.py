@@ -112,6 +112,18 @@ def test_a_unit_never_ok_in_this_life_is_left_alone(condition: str) -> None:
     assert isinstance(say(fault=was_ok(condition, 9.0), start_s=6.0), Act)
 
 
+@pytest.mark.parametrize("never", [None, True])
+@pytest.mark.parametrize("condition", [*ONCE, "publisher_not_received", "quorum_dead"])
+def test_what_phms_own_restart_broke_is_restored_once(condition: str, never: bool | None) -> None:
+    """It was OK in the run before, which PHM ended: a restart in an overload left nodes that never found each other."""
+    known = was_ok(condition, 0.0)
+    known = replace(known, result=replace(known.result, evidence=Evidence(never_ok=never)))
+    assert isinstance(say(fault=replace(known, ok_in_run_before_s=9.0)), Skip)
+    before = replace(known, ok_in_run_before_s=10.0)
+    assert say(fault=before) == Act("restart", 1)
+    assert isinstance(say(attempts(950.0, condition=condition), fault=before), GiveUp)
+
+
 @pytest.mark.parametrize(("seconds", "expected"), [(4.0, Skip), (6.0, Act)])
 def test_a_container_that_ran_before_phm_needs_no_grace(seconds: float, expected: type) -> None:
     """A restarted PHM need not wait for the grace of a start that was long ago."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from phm.api import Level, Result, error, ok, stale
 from phm.core.model import Evidence, FaultOpened, Outcome
 from tests.fakes.tracker_bench import BAD, OK, Bench, unit
@@ -222,6 +224,23 @@ def test_a_unit_never_ok_in_this_life_has_no_ok_time() -> None:
     bench.see("nodes", BAD)
     all_missing(bench, 10.0, life=2)
     assert ok_since_start_s(bench) == [0.0]
+
+
+@pytest.mark.parametrize("by_phm", [True, False])
+def test_a_fault_records_how_long_its_unit_was_ok_before_phm_restarted_the_container(by_phm: bool) -> None:
+    """Also over a second restart by PHM. After one by someone else it may be another program."""
+    bench = living()
+    bench.see("nodes", OK)
+    bench.later(30)
+    for life in (2, 3):
+        if by_phm or life == 2:
+            bench.take(bench.tracker.begin_action("app", "container", "restart", bench.stamp(), 60.0))
+        bench.see("container", ran_in_life(life))
+        bench.take(bench.tracker.end_action("app", bench.stamp(), worked=True))
+        bench.later(1)
+    all_missing(bench, 20.0, life=3)
+    (fault,) = [event.fault for event in bench.events if isinstance(event, FaultOpened)]
+    assert (fault.ok_in_run_before_s >= 30.0, fault.ok_since_start_s < 10.0) == (by_phm, True)
 
 
 def test_a_fault_records_whether_its_container_was_started_before_phm() -> None:

@@ -315,7 +315,9 @@ def test_a_partial_repair_leaves_the_fault_to_the_next_action() -> None:
 
 def test_a_partial_repair_with_a_forecast_leaves_the_fault_to_the_next_action() -> None:
     """A forecast is an end of the failure like OK: a dependent that still fails confirms the fault."""
-    forecast = warn("4 restarts", brief="4 restarts", condition="restarts_rising").with_evidence(Evidence(forecast=True))
+    forecast = warn("4 restarts", brief="4 restarts", condition="restarts_rising").with_evidence(
+        Evidence(forecast=True)
+    )
     bench = repairing()
     bench.see("network", forecast)
     bench.see("nodes", BAD)

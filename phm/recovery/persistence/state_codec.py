@@ -251,6 +251,7 @@ def _fault(fault: Fault) -> dict[str, Any]:
         "consequences": list(fault.consequences[:MAX_FAULTS]),
         "ok_s": fault.ok_s,
         "ok_since_start_s": fault.ok_since_start_s,
+        "ok_in_run_before_s": fault.ok_in_run_before_s,
         "start_seen": fault.start_seen,
         "pause_s": fault.pause_s,
         "result": {
@@ -283,6 +284,7 @@ def _read_fault(body: Any, opened: Stamp) -> Fault:
         consequences=tuple(str(name) for name in body["consequences"]),
         ok_s=float(body.get("ok_s", 0.0)),
         ok_since_start_s=float(body.get("ok_since_start_s", 0.0)),
+        ok_in_run_before_s=float(body.get("ok_in_run_before_s", 0.0)),
         start_seen=bool(body.get("start_seen", False)),
         pause_s=float(body.get("pause_s", 0.0)),
     )

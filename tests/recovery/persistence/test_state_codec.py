@@ -40,6 +40,7 @@ def fault(name: str = "ab12-1", opened: Stamp | None = None) -> Fault:
         blocks=("files/app",),
         ok_s=61.5,
         ok_since_start_s=90.5,
+        ok_in_run_before_s=60.5,
         start_seen=True,
         pause_s=4.5,
     )
