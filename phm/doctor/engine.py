@@ -12,7 +12,8 @@ from phm.transport.docker import EngineMissing
 
 OLDEST_API = (1, 41)
 """The API version of Docker 20.10."""
-_PROXY = "allow GET requests at the socket proxy: docs/reference/security.md"
+_PROXY = "make its rules with `phm proxy-rules`, or allow GET of /version: docs/reference/security.md"
+_LISTING = "not needed behind PHM's own proxy: only `phm init` and `phm learn` use the list"
 
 
 def rows(context: DoctorContext) -> Iterator[Row]:
@@ -29,7 +30,8 @@ def rows(context: DoctorContext) -> Iterator[Row]:
     try:
         machine = context.machine()
     except NotPermitted as error:
-        yield limited("rights", str(error), _PROXY)
+        yield limited("rights", str(error), _LISTING)
+        yield from _configured(context)
         return
     except CannotTell as error:
         yield missing("rights", *_remedied(str(error)))
@@ -77,7 +79,11 @@ def _container(context: DoctorContext, name: str) -> ContainerFact | None:
 
 def _name(context: DoctorContext, wanted: str) -> str:
     """What to do about a name that no container has."""
-    same = [one.name for one in context.machine().applications if one.service == wanted]
+    try:
+        applications = context.machine().applications
+    except CannotTell:
+        applications = ()
+    same = [one.name for one in applications if one.service == wanted]
     if same:
         return f"{wanted} is a Compose service: use the name of its container, {' or '.join(same)}"
     return "start it, or correct its name: `docker ps --all` lists the names"

@@ -6,7 +6,6 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
-from typing import Any
 
 from phm.core.clock import Clock
 from phm.core.settings import ContainerSettings, Settings
@@ -17,7 +16,7 @@ from phm.learn.observations import Observations, ObservedContainer, ObservedFold
 from phm.learn.ros_observer import RosObserver
 from phm.probes.devices import Devices
 from phm.probes.docker import Docker
-from phm.probes.docker_facts import container_fact
+from phm.probes.docker_facts import container_fact, is_phm
 from phm.probes.file_tree import TreeListing
 from phm.probes.files import Files
 from phm.transport.docker import DockerEngine, EngineRefused
@@ -154,7 +153,7 @@ class AgentObserver:
         """Names of the running containers without PHM's own and other containers that run PHM."""
         me = Docker(engine, (), self.settings.docker, self.clock).own_container()
         answers = [engine.inspect(str(one.get("Id"))) for one in engine.list() if one.get("State") == "running"]
-        facts = [container_fact(answer) for answer in answers if not _runs_phm(answer)]
+        facts = [container_fact(answer) for answer in answers if not is_phm(answer)]
         return sorted(fact.name for fact in facts if me is None or fact.id != me.id)
 
     def _container(self, docker: Docker, key: str) -> ContainerFact | None:
@@ -255,13 +254,6 @@ class AgentObserver:
             if not listing.pending or self.clock.mono() - since_s > NO_PROGRESS_S:
                 return listing
             self.clock.wait(pause, _TURN_S)
-
-
-def _runs_phm(answer: Mapping[str, Any]) -> bool:
-    """Whether the container runs PHM, by the command of PHM's image."""
-    config = answer.get("Config")
-    words = (config.get("Entrypoint") or []) if isinstance(config, Mapping) else []
-    return any(str(word).rpartition("/")[2] == "phm" for word in words)
 
 
 def parse_folder(text: str) -> tuple[str, str]:

@@ -25,8 +25,8 @@ from phm.facts import (
 )
 from phm.transport.docker import DockerEngine, EngineMissing
 
-ENTRYPOINT = ("ros-entrypoint", "phm")
-"""The entry point of PHM's image."""
+ENTRYPOINT = "ros-entrypoint"
+"""The first word of the entry point of PHM's image, which starts the program that follows."""
 ONEOFF = "com.docker.compose.oneoff"
 """Label of Compose: true at a container of `docker compose run`, which has the labels of its service, too (seen with Compose 2.26)."""
 _OUTPUT_CHARS = 200
@@ -109,8 +109,12 @@ def other_container(summary: Mapping[str, Any]) -> OtherContainer:
 
 
 def is_phm(answer: Mapping[str, Any]) -> bool:
-    """Whether an inspect response describes a container of PHM's image."""
-    return _texts(_part(answer, "Config"), "Entrypoint") == ENTRYPOINT
+    """Whether an inspect response describes a container that runs PHM: its program is the entry point, as in PHM's image, or a shell
+    starts the daemon beside its page (docker/compose.yaml, BlueOS)."""
+    config = _part(answer, "Config")
+    words = _texts(config, "Entrypoint")
+    beside = words == (ENTRYPOINT,) and any("phm run" in word for word in _texts(config, "Cmd"))
+    return beside or any(word.rpartition("/")[2] == "phm" for word in words)
 
 
 def container_fact(answer: Mapping[str, Any]) -> ContainerFact:

@@ -112,7 +112,8 @@ class Interview:
         chosen = self._given.get("network")
         if chosen in ("bridge", "host"):
             return "host" if chosen == "host" else "bridge"
-        return decided.network(decided.containers(self._machine, self._given["containers"]))
+        watched = self._given["containers"]
+        return decided.network(decided.containers(self._machine, watched) if watched else ())
 
     # ------------------------------------------------------------ what is possible
 

@@ -54,9 +54,13 @@ def test_without_an_engine_the_remedy_is_to_start_it(tmp_path: Path) -> None:
 
 
 def test_a_proxy_that_refuses_limits_the_rights(tmp_path: Path) -> None:
-    """An engine that answers with 403 is reached, but through a proxy that must allow more."""
+    """An engine that answers with 403 is reached through a proxy. PHM's own one does not permit the list, and need not: the
+    containers of the configuration are looked up one by one.
+    """
     with FakeEngine(tmp_path / "engine.sock") as fake:
-        fake.fault = Status(403, "no", route="/containers")
-        found = list(rows(doctor_context(tmp_path, docker={"socket": fake.url})))
-    assert states(found) == {"version": "ok", "rights": "limited"}
-    assert "proxy" in row(found, "rights").remedy
+        fake.containers["app"] = described("app")
+        fake.fault = Status(403, "no", route="/containers/json")
+        containers = [{"name": "app"}, {"name": "gone"}]
+        found = list(rows(doctor_context(tmp_path, docker={"socket": fake.url}, containers=containers)))
+    assert states(found) == {"version": "ok", "rights": "limited", "container gone": "missing"}
+    assert "proxy" in row(found, "rights").remedy and "GET" not in row(found, "rights").remedy

@@ -124,6 +124,12 @@ def test_compose_gives_the_sidecar_least_privilege() -> None:
     assert writable == {"/var/run/docker.sock", "/var/log/phm", "/var/lib/phm"}
 
 
+def test_the_interval_of_the_configuration_applies_unless_the_environment_sets_one() -> None:
+    """A blank value counts as not set."""
+    assert not compose("compose.yaml")["services"]["phm"]["environment"]["PHM_INTERVAL"]
+    assert compose("compose.yaml", PHM_INTERVAL="5s")["services"]["phm"]["environment"]["PHM_INTERVAL"] == "5s"
+
+
 def permitted(service: dict[str, Any]) -> tuple[str, list[tuple[str, str, int]], list[str]]:
     """Folder of the host and published ports of a service that takes deliveries, and its writable targets below /etc."""
     mounts = {volume["target"]: volume for volume in service["volumes"] if volume["target"].startswith("/etc/")}

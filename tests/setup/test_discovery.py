@@ -49,12 +49,14 @@ def test_a_fast_dds_profile_is_read_from_the_container(fake: FakeEngine, tmp_pat
 def test_phm_and_finished_jobs_are_not_applications(fake: FakeEngine, tmp_path: Path) -> None:
     """A container that Docker keeps running is one, also while it is stopped."""
     fake.containers["phm"] = described("phm", entrypoint=["ros-entrypoint", "phm"])
+    fake.containers["page"] = described("page", entrypoint=["ros-entrypoint"])
+    fake.containers["page"]["Config"]["Cmd"] = ["sh", "-c", "phm status --web 0.0.0.0:8080 & exec phm run"]
     fake.containers["job"] = described("job", status="exited")
     fake.containers["kept"] = described("kept", status="exited")
     fake.containers["kept"]["HostConfig"]["RestartPolicy"] = {"Name": "unless-stopped"}
     found = inspect_machine(DockerEngine(fake.url, LIMIT_S), tmp_path)
     assert [one.name for one in found.applications] == ["kept"]
-    assert [one.name for one in found.sidecars] == ["phm"]
+    assert [one.name for one in found.sidecars] == ["phm", "page"]
 
 
 def test_the_owner_of_a_shared_network_is_found_by_id(fake: FakeEngine, tmp_path: Path) -> None:

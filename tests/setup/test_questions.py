@@ -60,6 +60,12 @@ def test_without_containers_ros_runs_on_the_host() -> None:
     assert (keys, answers.network) == (["id", "containers", "mavlink"], "host")
 
 
+def test_containers_that_are_not_watched_do_not_set_the_network() -> None:
+    """ROS runs on the host, and a container on a bridge that runs, too, has nothing to do with it."""
+    answers = defaults(interview(machine(APP), containers=["none"]))[1]
+    assert (answers.containers, answers.network, answers.mavlink) == ((), "host", "udpout:127.0.0.1:14550")
+
+
 def test_a_container_brings_the_owner_of_its_network() -> None:
     """Without it, PHM would not be on that network."""
     found = machine(application("app", mode="container:1", owner="pod"), application("pod", mode="host"))
