@@ -58,9 +58,10 @@ def build(record: Record, flight: int | None = None) -> Json:
         faults += mine
         available += availability.rows(agent, units, begin, end, omitted)
         unknown += availability.unknown(agent, units, begin, end)
-        ran_s = total(clipped(agent.cover, begin, end))
-        for check in {body["check"] for run, _ in agent.runs for body in run.units.values()}:
-            observed[check] = observed.get(check, 0.0) + ran_s
+        for run, clock in agent.runs:
+            ran_s = total(clipped(([clock.t(at) for at in span] for span in run.cover.spans), begin, end))
+            for check in {body["check"] for body in run.units.values()} if ran_s else ():
+                observed[check] = observed.get(check, 0.0) + ran_s
         rows.append(agent_row.row(record, agent, units, mine, begin, end, omitted))
     faults.sort(key=lambda fault: (fault["opened"], fault["agent"]))
     uptimes = {row["agent"]: row["uptime"] for row in rows if row["uptime"] is not None}

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from phm.core.model import Level, Transition
+from phm.core.model import Level, Slot, Transition
 from phm.review import document
+from tests.fakes.records import unit
 from tests.review.records import T0, Flown, Ground, report
 
 
@@ -110,6 +111,19 @@ def test_each_check_has_mtbf_and_mttr_with_limits(tmp_path: Path) -> None:
     assert nodes["mtbf_low_s"] == pytest.approx(500 / 5.5716, rel=1e-3)
     assert nodes["mtbf_high_s"] == pytest.approx(500 / 0.0253, rel=1e-2)
     assert (rows["rates"]["faults"], rows["rates"]["mtbf_s"], rows["rates"]["mtbf_high_s"]) == (0, None, None)
+
+
+def test_the_time_of_a_check_is_that_of_the_runs_that_had_it(tmp_path: Path) -> None:
+    """A check that was added between two flights did not watch the first one."""
+    first = Flown(tmp_path, boot="boot0001")
+    first.until(100)
+    first.close()
+    second = Flown(tmp_path, boot="boot0002", start=220.0)
+    second.states["devices"] = unit("devices", Slot.DEVICES)
+    second.until(320)
+    second.close()
+    rows = {row["check"]: row["observed_s"] for row in report(tmp_path)["checks"]}
+    assert (rows["nodes"], rows["devices"]) == (200.0, 100.0)
 
 
 def test_a_restart_in_flight_is_a_gap_and_a_fault_over_it_is_one_fault(tmp_path: Path) -> None:
