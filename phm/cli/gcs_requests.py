@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 FOUND_S = 10.0
 ADVICE_S = 8.0
-"""An agent sends its full state to a new ground station within this time."""
+"""An agent sends its full state to a new ground station within this time, unless several stations have just appeared."""
 AFTER_S = 2.0
 POLL_S = 0.1
 _AGENT = re.compile(r"[Aa]?0*([1-9][0-9]{0,2})")
@@ -156,7 +156,7 @@ class _Client:
         row = self._row()
         name, advice = row["name"], row["advice"]
         if not advice:
-            raise click.ClickException(f"{name} has no recommended action to approve")
+            raise click.ClickException(f"no recommended action of {name} was received: if it has one, give its number")
         numbers = "; ".join(f"{one['fault']}: {one['action']} {one['target']}" for one in advice)
         if len(advice) > 1:
             raise click.UsageError(f"{name} advises several actions, choose one by its number: {numbers}")

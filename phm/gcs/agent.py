@@ -182,6 +182,8 @@ class Agent:
             over = [text for text in units if line.resolves(text)]
             for text in over:
                 del units[text]
+            # Of a failure whose text changed others may be left: it is not reported any more, and its next line is new.
+            units.update({text: replace(bad, lines=()) for text, bad in units.items()})
             if over:
                 self._better(Slot(line.slot), units)
         self._array(line)

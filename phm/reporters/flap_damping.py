@@ -98,7 +98,7 @@ class FlapDamper:
             unit.held = line
             return None
         # A worsening is not replaced by a warning: suppression begins with the next line.
-        worse = begun or (before is not None and line.severity < before)
+        worse = before is not None and line.severity < before
         if changed and not unit.flaps and not worse and _flaps(unit, now):
             unit.flaps, unit.held = True, line
             unit.worst = min(severity for _, severity in unit.changes)

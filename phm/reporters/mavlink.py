@@ -25,7 +25,7 @@ from phm.reporters.base import MavlinkSender, Reporter, ReporterContext
 from phm.reporters.flap_damping import FlapDamper
 from phm.reporters.gcs_presence import GcsPresence
 from phm.reporters.statustext import StatusTextBuilder, StatusTextLine, is_asked, is_bad
-from phm.reporters.swarm import MISSED_HEARTBEATS, SPEAKS
+from phm.reporters.swarm import MISSED_HEARTBEATS
 from phm.transport.dialect import mavlink
 from phm.transport.priority import MessagePriority, default_periods
 from phm.wire import status_line, status_word
@@ -184,16 +184,16 @@ class MavlinkReporter(Reporter):
 
     def _say(self, lines: list[StatusTextLine]) -> None:
         for line in lines:
-            only_while = line.only_while
             if line.key.startswith(PEERS):
                 if not self._leads():
                     self._left_to_leader[line.key] = (line, self._context.clock.mono())
                     continue
                 self._left_to_leader.pop(line.key, None)
-                only_while = (*only_while, *([SPEAKS] if self._context.swarm is not None else []))
             # A text that was limited takes turns with the refresh line, which would otherwise wait for it without an end.
             urgency = Severity.INFO if line.kind is MessagePriority.REFRESH else line.severity
-            self._port.send(_statustext(line), line.kind, key=line.key, urgency=int(urgency), only_while=only_while)
+            self._port.send(
+                _statustext(line), line.kind, key=line.key, urgency=int(urgency), only_while=line.only_while
+            )
         if any(line.kind is MessagePriority.TRANSITION for line in lines):
             self._renew_refresh()
 

@@ -32,7 +32,6 @@ TUNNEL_BYTES = 128
 MISSED_HEARTBEATS = 6
 """The loss of a leader is detected after five of its heartbeats: it may not have reported changes within them."""
 RELAY = "relay "
-SPEAKS = "this agent reports the swarm"
 REPEATS = 3
 """How often the lines may be repeated one after another for new ground stations. Then once in the period of the refresh: a sender that
 uses one system id after another must not fill the link."""
@@ -73,15 +72,11 @@ class SwarmReporter(Reporter):
     def tick(self) -> None:
         if not self._context.alive():
             return
-        fact = self._probe.snapshot()
-        leads = bool(fact.peers) and fact.leader == self._agent
-        if fact.peers:
-            self._report(fact, self._context.clock.mono(), leads=leads)
-        relayed = {f"{RELAY}{agent}" for agent in fact.no_gcs}
-        self._port.set_true(self.name, {SPEAKS, *relayed} if leads else set())
-
-    def _report(self, fact: SwarmFact, now: float, *, leads: bool) -> None:
+        fact, now = self._probe.snapshot(), self._context.clock.mono()
+        if not fact.peers:
+            return
         self._view(fact, now)
+        leads = fact.leader == self._agent
         self._repeating = leads and self._appeared.is_set() and self._may_repeat(now)
         if self._repeating:
             self._line_again, self._relayed = True, {}
@@ -151,13 +146,10 @@ class SwarmReporter(Reporter):
         kind = same_kind if line == self._sent_line else MessagePriority.TRANSITION
         self._sent_line, self._line_at, self._line_again = line, now, False
         self._port.send(
-            _tunnel(tunnel.encode(digest.swarm_digest(agreed, levels))),
-            MessagePriority.SWARM,
-            key="digest",
-            only_while=(SPEAKS,),
+            _tunnel(tunnel.encode(digest.swarm_digest(agreed, levels))), MessagePriority.SWARM, key="digest"
         )
         # INFO is shown and not spoken: each agent reports its own failures, and the leader's check the lost agents.
-        self._say(StatusTextLine("swarm line", Severity.INFO, line, kind), SPEAKS)
+        self._say(StatusTextLine("swarm line", Severity.INFO, line, kind))
 
     def _relay(self, fact: SwarmFact, now: float) -> list[StatusTextLine]:
         """The reports for agents that cannot reach the ground, once for each change."""
@@ -183,11 +175,11 @@ class SwarmReporter(Reporter):
         for line in lines if not self._repeating else ():
             passed += self._damper.filter([line], now, digest.flapping_line(int(line.key.removeprefix(RELAY))))
         for line in passed:
-            self._say(line, line.key)
+            self._say(line)
 
-    def _say(self, line: StatusTextLine, only_while: str) -> None:
+    def _say(self, line: StatusTextLine) -> None:
         message = mavlink.MAVLink_statustext_message(int(line.severity), line.text.encode("ascii"))
-        self._port.send(message, line.kind, key=line.key, urgency=int(line.severity), only_while=(only_while,))
+        self._port.send(message, line.kind, key=line.key, urgency=int(line.severity))
 
 
 def _seen(state: str, received: bool) -> PeerState:

@@ -132,9 +132,9 @@ class MavlinkHub:
     def set_true(self, owner: str, names: Set[str]) -> None:
         """What is true now according to this owner, in place of what it said before."""
         if self._true.get(owner) != names:
-            self._true[owner] = names
             for endpoint in self._endpoints:
                 endpoint.set_true(owner, names)
+            self._true[owner] = names
 
     @property
     def agents(self) -> int:

@@ -185,7 +185,10 @@ class LinkBudget:
             item = _replacing(old, item)
         self._waiting[item.key] = item
         if len(self._waiting) > MAX_WAITING:
-            least = max(self._waiting.values(), key=lambda each: (not self._may_leave(each), *_order(each)))
+            # What it says becomes true after it was put: it is judged by its importance.
+            least = max(
+                self._waiting.values(), key=lambda each: (each is not item and not self._may_leave(each), *_order(each))
+            )
             del self._waiting[least.key]
             self.counts[least.kind].dropped += 1
 

@@ -26,7 +26,8 @@ class SendQueue:
         self._lock = threading.Lock()
 
     def __len__(self) -> int:
-        return self._budget.waiting + (self._heartbeat is not None)
+        with self._lock:
+            return self._budget.waiting + (self._heartbeat is not None)
 
     @property
     def counts(self) -> dict[MessagePriority, MessageCount]:

@@ -108,6 +108,17 @@ def test_a_failure_sent_again_for_a_new_ground_station_is_a_repetition(ground: G
     assert repeat(line) is False
 
 
+def test_a_failure_that_comes_back_is_new_although_its_text_had_changed(ground: Ground) -> None:
+    """Its end names only the newest text, and the heartbeat that shows the end may be 40 s late."""
+    ground.receive(phm_heartbeat(7, {Slot.COMPANION: Level.ERROR}))
+    for seconds in (3, 5):
+        ground.receive(text_frame(7, f"A07 FAIL 1 GCS: no heartbeat {seconds} s"))
+    ground.wait(6)
+    ground.receive(text_frame(7, "A07 OK 1 recovered: GCS: no heartbeat 5 s", 5))
+    (line,) = events(ground.receive(text_frame(7, "A07 FAIL 1 GCS: no heartbeat 3 s")), "text")
+    assert line["repeat"] is False
+
+
 def test_a_failure_known_only_from_a_refresh_is_new_when_its_line_arrives(ground: Ground) -> None:
     """A refresh raises no alarm, and the line about the change may have been lost. A failure that got worse again is new, too."""
     ground.receive(phm_heartbeat(7, {Slot.NODES: Level.ERROR}), text_frame(7, "A07 FAIL 11111011 6 node_1 dead", 6))

@@ -159,5 +159,5 @@ def test_an_action_of_an_incomplete_state_must_be_chosen_by_its_number() -> None
 
 def test_without_advice_nothing_is_approved() -> None:
     """After the time in which an agent sends its full state."""
-    with pytest.raises(click.ClickException, match="A05 has no recommended action"):
+    with pytest.raises(click.ClickException, match="no recommended action of A05 was received"):
         SlowAgent({0.2: REFRESH}).client.only_advice()

@@ -186,6 +186,18 @@ def test_a_failure_of_a_unit_that_flaps_is_not_sent_as_a_warning() -> None:
     assert scene.port.lines()[-1] == (4, FLAPPING)
 
 
+def test_failures_without_a_line_about_their_end_are_limited() -> None:
+    """Each follows from another fault two seconds later, and the next one has another text."""
+    scene = Scene(refresh=600).running()
+    for number in range(30):
+        scene.become("nodes/a", Level.ERROR, f"a at {number} Hz")
+        scene.pass_time(2.0)
+        scene.become("nodes/a", Level.STALE, blocked_by="container/app")
+        scene.pass_time(2.0)
+    lines = [line for line in scene.port.lines() if line[0] < 6]
+    assert [severity for severity, _ in lines] == [2] * (MANY - 1) + [4]
+
+
 def test_changed_texts_do_not_prolong_the_suppression() -> None:
     """The unit has failed for CALM_S: its newest text is sent."""
     damper = FlapDamper()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import Any
+from unittest.mock import MagicMock
 
 from phm.testing import FakeClock
 from phm.transport.priority import MAX_WAITING
@@ -65,3 +66,12 @@ def test_lines_wait_for_the_budget_and_heartbeats_do_not() -> None:
     assert [message.get_type() for message in drain(queue)] == ["HEARTBEAT"]
     clock.advance(1000.0)
     assert drain(queue)[0].text == f"line {len(burst)}"
+
+
+def test_the_number_of_waiting_messages_is_counted_while_no_thread_changes_them() -> None:
+    """Counting looks at each message, and the endpoint's thread takes them."""
+    queue = SendQueue(FakeClock())
+    put(queue, text("line"))
+    queue._lock = MagicMock()
+    assert len(queue) == 1
+    assert queue._lock.__enter__.called

@@ -133,9 +133,11 @@ def test_open_faults_have_their_steps(page: Page) -> None:
 def test_a_recovered_fault_shows_all_stages(page: Page, agents: Fleet) -> None:
     """It stays in the list, marked as ended, with the time of each stage that the ground has received."""
     page.locator(".row[data-name=A12]").click()
+    fails(agents, 12)
     agents.say(12, "A12 FAIL 6 mapper dead")
     agents.say(12, "A12 ADVISE 6 relaunch mapper #21 60s", 4)
     agents.say(12, "A12 APPROVED 6 relaunch mapper", 5)
+    del agents.levels[12]
     agents.say(12, "A12 OK 6 mapper relaunched", 5)
     fault = page.locator("#panel .fault", has_text="mapper dead")
     expect(fault).to_contain_text(re.compile(r"ended \d\d:\d\d:\d\d"))
@@ -144,9 +146,16 @@ def test_a_recovered_fault_shows_all_stages(page: Page, agents: Fleet) -> None:
     )
 
 
+def fails(agents: Fleet, number: int) -> None:
+    """A node of the agent fails: its heartbeats say so, too, and a healthy one would end the fault."""
+    agents.levels[number] = {Slot.NODES: ERROR}
+    agents.vehicles[number].heartbeat(agents.levels[number])
+
+
 def test_a_fault_that_phm_gave_up_says_so(page: Page, agents: Fleet) -> None:
     """An approval that expired and an action that PHM stopped trying take the place of the action."""
     page.locator(".row[data-name=A10]").click()
+    fails(agents, 10)
     agents.say(10, "A10 FAIL 6 mapper dead")
     agents.say(10, "A10 ADVISE 6 relaunch mapper #22 60s", 4)
     agents.say(10, "A10 EXPIRED 6 relaunch mapper", 4)
@@ -154,6 +163,7 @@ def test_a_fault_that_phm_gave_up_says_so(page: Page, agents: Fleet) -> None:
     expect(failed).to_have_text(re.compile(r"EXPIRED.*\d\d:\d\d:\d\d"))
     agents.say(10, "A10 GAVE UP 6 mapper dead #22")
     expect(failed).to_have_text(re.compile(r"GAVE UP.*\d\d:\d\d:\d\d"))
+    del agents.levels[10]
     agents.say(10, "A10 OK 6 mapper recovered", 5)
     stages = page.locator("#panel .fault", has_text="mapper dead").locator(".stages li")
     expect(stages.last).to_have_text(re.compile(r"recovered.*\d\d:\d\d:\d\d"))
