@@ -53,10 +53,8 @@ class MavlinkSender(Protocol):
         only where an older one waits.
         """
 
-    def set_true(self, owner: str, names: Set[str]) -> None:
-        """What is true now according to this owner, in place of what it said before: messages that wait for a link's budget may
-        have become untrue.
-        """
+    def set_true(self, names: Set[str]) -> None:
+        """What is true now, in place of what was before: messages that wait for a link's budget may have become untrue."""
 
     def links(self) -> tuple[LinkFact, ...]: ...
 

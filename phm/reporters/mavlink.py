@@ -24,7 +24,7 @@ from phm.core.rate_limiter import TokenBucket
 from phm.reporters.base import MavlinkSender, Reporter, ReporterContext
 from phm.reporters.flap_damping import FlapDamper
 from phm.reporters.gcs_presence import GcsPresence
-from phm.reporters.statustext import StatusTextBuilder, StatusTextLine, is_asked, is_bad
+from phm.reporters.statustext import StatusTextBuilder, StatusTextLine, while_asked, while_bad
 from phm.reporters.swarm import MISSED_HEARTBEATS
 from phm.transport.dialect import mavlink
 from phm.transport.priority import MessagePriority, default_periods
@@ -178,9 +178,9 @@ class MavlinkReporter(Reporter):
 
     def _set_true(self) -> None:
         """Lines that wait for a link's budget are sent only while they are true. After new lines: they replace outdated ones."""
-        names = {is_bad(state.unit) for state in self._context.states() if state.level.bad}
-        names |= {is_asked(unit) for unit in self._builder.asked()}
-        self._port.set_true(self.name, names)
+        names = {while_bad(state.unit) for state in self._context.states() if state.level.bad}
+        names |= {while_asked(unit) for unit in self._builder.asked()}
+        self._port.set_true(names)
 
     def _say(self, lines: list[StatusTextLine]) -> None:
         for line in lines:

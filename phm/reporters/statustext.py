@@ -42,12 +42,12 @@ class StatusTextLine:
     """While it waits for a link's budget, it is sent only if all of these are true."""
 
 
-def is_bad(unit: str) -> str:
+def while_bad(unit: str) -> str:
     """A failure is true while its unit is bad: it may be unknown, on hold or a consequence of another fault by now."""
     return f"bad {unit}"
 
 
-def is_asked(unit: str) -> str:
+def while_asked(unit: str) -> str:
     """A request is true until it is answered or the fault of its unit has ended."""
     return f"asked {unit}"
 
@@ -123,7 +123,7 @@ class StatusTextBuilder:
         return self._asks.keys()
 
     def _ask(self, unit: str, line: StatusTextLine) -> StatusTextLine:
-        self._asks[unit] = replace(line, only_while=(is_asked(unit),))
+        self._asks[unit] = replace(line, only_while=(while_asked(unit),))
         return self._asks[unit]
 
     def _asked(self, event: ActionEvent, state: UnitState, key: str) -> list[StatusTextLine]:
@@ -169,7 +169,7 @@ class StatusTextBuilder:
         if sent is not None and sent[1] == text:
             return []
         severity = status_line.severity(state.level, state.slot)
-        return [StatusTextLine(state.unit, severity, text, only_while=(is_bad(state.unit),))]
+        return [StatusTextLine(state.unit, severity, text, only_while=(while_bad(state.unit),))]
 
     def _over(self, unit: str, by: str) -> list[StatusTextLine]:
         self._asks.pop(unit, None)

@@ -50,7 +50,7 @@ class MavlinkHub:
         self._heartbeat_sent: Callable[[int], None] | None = None
         self._errors = 0
         self._agents = 1
-        self._true: dict[str, Set[str]] = {}
+        self._true: Set[str] = frozenset()
         self._endpoints = tuple(
             Endpoint(
                 entry,
@@ -129,12 +129,12 @@ class MavlinkHub:
             if for_all or link == endpoint.name:
                 endpoint.send(message, kind, key, urgency, only_while, only_replace=only_replace)
 
-    def set_true(self, owner: str, names: Set[str]) -> None:
-        """What is true now according to this owner, in place of what it said before."""
-        if self._true.get(owner) != names:
+    def set_true(self, names: Set[str]) -> None:
+        """What is true now, in place of what was before."""
+        if self._true != names:
             for endpoint in self._endpoints:
-                endpoint.set_true(owner, names)
-            self._true[owner] = names
+                endpoint.set_true(names)
+            self._true = names
 
     @property
     def agents(self) -> int:

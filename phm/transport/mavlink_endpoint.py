@@ -86,9 +86,9 @@ class Endpoint:
         self._queue.put(message, self.codec.size(message), kind, key, urgency, only_while, only_replace=only_replace)
         self._ring()
 
-    def set_true(self, owner: str, names: Set[str]) -> None:
-        """What is true now according to this owner: messages may wait for it."""
-        self._queue.set_true(owner, names)
+    def set_true(self, names: Set[str]) -> None:
+        """What is true now: messages may wait for it."""
+        self._queue.set_true(names)
         if self._queue:
             self._ring()
 

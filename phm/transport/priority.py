@@ -146,8 +146,8 @@ class LinkBudget:
     _ahead: float = -ROUTINE_ROOM
     """Bytes of answers minus bytes of routine messages. Answers are first while it is not above 0."""
     _waiting: OrderedDict[str, QueuedMessage] = field(default_factory=OrderedDict)
-    _true: dict[str, Set[str]] = field(default_factory=dict)
-    """What is true now, by who knows it."""
+    _true: Set[str] = frozenset()
+    """What is true now."""
 
     def __post_init__(self) -> None:
         self._credit = TokenBucket(self.burst, self.now)
@@ -171,11 +171,11 @@ class LinkBudget:
         last = self._beat[0]
         self._beat = (now, size / (now - last) if now > last else self._beat[1])
 
-    def set_true(self, owner: str, names: Set[str]) -> None:
-        """What is true now according to this owner, in place of what it said before. What a message says may have become untrue
-        while it waited. It is not removed then: its sender does not send it again when it is true again.
+    def set_true(self, names: Set[str]) -> None:
+        """What is true now, in place of what was before. What a message says may have become untrue while it waited. It is not
+        removed then: its sender does not send it again when it is true again.
         """
-        self._true[owner] = names
+        self._true = names
 
     def put(self, item: QueuedMessage) -> None:
         """Queue a message; it replaces the one with its key. When too many wait, the least important one is dropped."""
@@ -217,7 +217,7 @@ class LinkBudget:
         return min((item for item in ready if _is_answer(item)), key=_order, default=least)
 
     def _may_leave(self, item: QueuedMessage) -> bool:
-        return all(any(name in names for names in self._true.values()) for name in item.only_while)
+        return all(name in self._true for name in item.only_while)
 
     def give_back(self, item: QueuedMessage) -> None:
         """It could not be sent. It is first among its equals again, unless a newer one with its key waits."""

@@ -63,10 +63,10 @@ class SendQueue:
                 return
             self._budget.put(QueuedMessage(key or f"#{self._number}", kind, size, message, urgency, now, only_while))
 
-    def set_true(self, owner: str, names: Set[str]) -> None:
+    def set_true(self, names: Set[str]) -> None:
         """See `LinkBudget.set_true`."""
         with self._lock:
-            self._budget.set_true(owner, names)
+            self._budget.set_true(names)
 
     def take(self) -> QueuedMessage | None:
         """The next message to send, or None when nothing may be sent now."""

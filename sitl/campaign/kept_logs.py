@@ -20,7 +20,7 @@ def keep(folder: Path, judged: ScoredTrial, events: Mapping[int, Sequence[Event]
     """Write the events of each agent with a problem as `A03/phm.jsonl` in a folder of the trial, which `phm report` reads.
     Return that folder, or None if there was no problem. events: of the trial, by agent.
     """
-    agents = sorted(with_problems(judged) & events.keys())
+    agents = sorted(_with_problems(judged) & events.keys())
     if not agents:
         return None
     trial = judged.trial
@@ -33,7 +33,7 @@ def keep(folder: Path, judged: ScoredTrial, events: Mapping[int, Sequence[Event]
     return kept
 
 
-def with_problems(judged: ScoredTrial) -> set[int]:
+def _with_problems(judged: ScoredTrial) -> set[int]:
     """Agents with a fault that has remarks, or with a false alarm."""
     found = {verdict.injection.agent for verdict in judged.verdicts if remarks(judged, verdict)}
     return found | {alarm.agent for alarm in judged.false}

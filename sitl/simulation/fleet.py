@@ -56,8 +56,8 @@ class Port:
         self.sent_keys[key] += not only_replace
         self.outbox.put(message, self.codec.size(message), kind, key, urgency, only_while, only_replace=only_replace)
 
-    def set_true(self, owner: str, names: Set[str]) -> None:
-        self.outbox.set_true(owner, names)
+    def set_true(self, names: Set[str]) -> None:
+        self.outbox.set_true(names)
 
     def links(self) -> tuple[LinkFact, ...]:
         return ()

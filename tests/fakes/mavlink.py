@@ -84,7 +84,7 @@ class FakePort:
         if self.to is not None:
             self.to(message, kind, key, urgency)
 
-    def set_true(self, owner: str, names: Set[str]) -> None:
+    def set_true(self, names: Set[str]) -> None:
         """Not used: nothing waits here."""
 
     def links(self) -> tuple[LinkFact, ...]:

@@ -11,7 +11,6 @@ import pytest
 from phm.core.model import ON_HOLD, ActionEvent, Level, Phase, Result, Transition
 from phm.testing import FakeClock
 from phm.transport.mavlink_codec import Codec
-from phm.transport.priority import MessagePriority
 from phm.transport.send_queue import SendQueue
 from tests.fakes.mavlink import FakePort
 from tests.reporters.test_mavlink import Scene
@@ -25,8 +24,8 @@ class Link:
     def __init__(self, clock: FakeClock) -> None:
         self.queue, self._codec = SendQueue(clock, None), Codec(1, 193, lambda _: False)
 
-    def put(self, message: Any, *words: Any, only_replace: bool) -> None:
-        self.queue.put(message, self._codec.size(message), *words, only_replace=only_replace)
+    def put(self, message: Any, *words: Any, **how: Any) -> None:
+        self.queue.put(message, self._codec.size(message), *words, **how)
 
     def left(self, least: int) -> list[str]:
         """The lines of at most this severity number that leave now."""
@@ -41,23 +40,13 @@ class Links(FakePort):
         super().__init__()
         self.links_ = (Link(clock), Link(clock))
 
-    def send(
-        self,
-        message: Any,
-        kind: MessagePriority = MessagePriority.TRANSITION,
-        *,
-        key: str = "",
-        urgency: int = 0,
-        link: str = "",
-        only_while: tuple[str, ...] = (),
-        only_replace: bool = False,
-    ) -> None:
+    def send(self, message: Any, *words: Any, **how: Any) -> None:
         for each in self.links_:
-            each.put(message, kind, key, urgency, only_while, only_replace=only_replace)
+            each.put(message, *words, **how)
 
-    def set_true(self, owner: str, names: Set[str]) -> None:
+    def set_true(self, names: Set[str]) -> None:
         for each in self.links_:
-            each.queue.set_true(owner, names)
+            each.queue.set_true(names)
 
 
 @pytest.fixture

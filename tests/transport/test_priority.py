@@ -92,14 +92,13 @@ def test_a_message_waits_until_what_it_says_is_true(drawn: list[QueuedMessage | 
             newest[what.key] = number
             continue
         true = what
-        budget.set_true("tracker", true)
+        budget.set_true(true)
         waiting = budget.waiting
         now = taken(budget, 0.0)
         assert len(now) == waiting
         assert all(set(item.only_while) <= true for item in now)
         left |= {item.key: item.message for item in now}
-    budget.set_true("tracker", {"x"})
-    budget.set_true("swarm", {"y"})
+    budget.set_true({"x", "y"})
     left |= {item.key: item.message for item in taken(budget, 0.0)}
     assert left == newest
 
@@ -109,9 +108,9 @@ def test_a_message_that_is_not_true_now_outlives_an_outage_and_is_dropped_first(
     budget = LinkBudget(None, 0.0)
     budget.put(QueuedMessage("fault", MessagePriority.TRANSITION, 60, None, 2, only_while=("bad",)))
     budget.expire(100.0)
-    budget.set_true("tracker", {"bad"})
+    budget.set_true({"bad"})
     assert budget.waiting == 1
-    budget.set_true("tracker", set())
+    budget.set_true(set())
     for number in range(MAX_WAITING):
         budget.put(QueuedMessage(str(number), MessagePriority.REFRESH, 60, None, 6))
     assert budget.waiting == MAX_WAITING
