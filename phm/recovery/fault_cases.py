@@ -345,7 +345,7 @@ class ExternalChanges:
     def _follow_generation(self, cases: Iterable[FaultCase]) -> None:
         """The container was started without an attempt: its parts get their grace. If others started it, an
         interrupted action is over. If PHM did, the engine has completed the request of an attempt late."""
-        before, self._generation = self._generation, self._generations.current(self._target)
+        before, self._generation = self._generation, self._generations.known(self._target)
         if self._generation is None or before is None or self._generation.same(before):
             return
         now, mine = self._clock.mono(), self._generation.phm_for == self._target

@@ -157,6 +157,10 @@ class GenerationTracker:
             self._update(key)
             return self._generations.get(key)
 
+    def known(self, key: str) -> Generation | None:
+        """The last known generation, without asking the engine."""
+        return self._generations.get(key)
+
     def external_start(self, key: str) -> float | None:
         """When a generation began that resets attempts (monotonic seconds); returned once for each such generation."""
         with self._lock(key):

@@ -13,15 +13,23 @@ import statistics
 import subprocess
 import sys
 import tempfile
+import time
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import psutil
+from docker import DockerClient
+from docker.errors import DockerException
 from rich.console import Console
+from rich.progress import track
 from rich.table import Table
 
 from sitl.bench import footprint_proc
+from sitl.campaign.cost_meter import cpu_of
+from sitl.faults._cgroups import cgroup
 from sitl.harness.machine import machine
 
 ROLES = {"daemon": "run", "ROS child": "phm.probes.ros.child", "watchdog": "watchdog.py"}
@@ -56,10 +64,26 @@ def _is_daemon(words: Sequence[str]) -> bool:
     return any(name in ("phm", "phm.cli") and verb == "run" for name, verb in pairs)
 
 
-def measure(running: Sequence[Mapping[str, int]], seconds: float) -> dict[str, Any]:
+def measure(
+    running: Sequence[Mapping[str, int]],
+    seconds: float,
+    groups: Mapping[str, Path] | None = None,
+    sleep: Callable[[float], None] = time.sleep,
+) -> dict[str, Any]:
     """Means over the agents: memory and CPU by process and in all, and each thread by process and name. An agent of which a process
-    ends meanwhile is left out. Raises ValueError if none is left, or one cannot be measured by this user."""
-    costs = footprint_proc.threads([pid for roles in running for pid in roles.values()], seconds)
+    ends meanwhile is left out. Raises ValueError if none is left, or one cannot be measured by this user.
+
+    groups: cgroups by the name of their container, whose CPU time is measured too, in percent of a core: with short processes such
+    as health checks, which threads do not have.
+    """
+    groups = groups or {}
+    used, began = {name: cpu_of(folder) for name, folder in groups.items()}, time.monotonic()
+    costs = footprint_proc.threads([pid for roles in running for pid in roles.values()], partial(sleep, seconds))
+    passed_s = time.monotonic() - began
+    try:
+        containers = {name: 100 * (cpu_of(folder) - used[name]) / passed_s for name, folder in groups.items()}
+    except OSError:
+        raise ValueError(f"one of these containers has ended meanwhile: {', '.join(groups)}") from None
     by_role: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
     by_thread: dict[tuple[str, str], list[float]] = defaultdict(lambda: [0.0, 0.0, 0.0])
     alone, count = [], 0
@@ -90,6 +114,7 @@ def measure(running: Sequence[Mapping[str, int]], seconds: float) -> dict[str, A
             role: {name: statistics.mean(values) for name, values in row.items()} for role, row in by_role.items()
         },
         "alone_mb": statistics.mean(alone) if alone else None,
+        "containers": containers,
         "threads": [
             {"process": role, "thread": name, "wakeups": a / count, "cpu": b / count, "count": c / count}
             for (role, name), (a, b, c) in sorted(by_thread.items(), key=lambda item: -item[1][0])
@@ -119,6 +144,8 @@ def show(found: Mapping[str, Any], console: Console) -> None:
     console.print(table)
     if found["alone_mb"] is not None:
         console.print(f"alone, with pages that nothing else shares: {found['alone_mb']:.1f} MB")
+    for name, cpu in found["containers"].items():
+        console.print(f"container {name}, all that ran in it: CPU {cpu:.2f} %")
     table = Table("process", "thread", "wake-ups/s", "CPU %", "threads")
     for row in found["threads"][:SHOWN]:
         values = (f"{row['wakeups']:.2f}", f"{row['cpu']:.3f}", f"{row['count']:.1f}")
@@ -148,11 +175,37 @@ def show_imports(found: Mapping[str, Any], console: Console) -> None:
         console.print(table)
 
 
+def containers(names: Sequence[str]) -> dict[str, Path]:
+    """The cgroups of these running containers. Raises ValueError with what to do."""
+    if not names:
+        return {}
+    try:
+        client = DockerClient.from_env()
+        try:
+            return {name: cgroup(client.containers.get(name), "cpuacct") for name in names}
+        finally:
+            client.close()
+    except (DockerException, LookupError, OSError) as error:
+        raise ValueError(
+            f"cannot measure the containers {', '.join(names)}: {error}; `docker ps` lists what runs"
+        ) from None
+
+
+def wait(seconds: float) -> None:
+    """With a bar on a terminal."""
+    steps = max(1, int(seconds))
+    for _ in track(range(steps), "measuring", console=Console(stderr=True), transient=True, refresh_per_second=1):
+        time.sleep(seconds / steps)
+
+
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="scripts/bench footprint", description=__doc__)
     parser.add_argument("what", nargs="?", choices=("running", "imports"), default="running")
     parser.add_argument("--pid", type=int, nargs="+", default=(), help="process ids of daemons (default: all)")
     parser.add_argument("--seconds", type=float, default=60.0, metavar="S", help="how long threads are measured (60)")
+    parser.add_argument(
+        "--containers", nargs="+", default=(), metavar="NAME", help="the CPU of these too, with their health checks"
+    )
     parser.add_argument("--json", action="store_true", help="print JSON")
     chosen = parser.parse_args(arguments)
     console = Console(width=120)
@@ -164,7 +217,7 @@ def main(arguments: list[str] | None = None) -> int:
             print("no PHM runs here: start one, e.g. with scripts/demo", file=sys.stderr)
             return 1
         try:
-            found = measure(running, chosen.seconds)
+            found = measure(running, chosen.seconds, containers(chosen.containers), wait)
         except ValueError as error:
             print(error, file=sys.stderr)
             return 1

@@ -6,7 +6,7 @@ import os
 import re
 import struct
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -68,11 +68,11 @@ def _resident(smaps: Path) -> Iterator[tuple[int, int]]:
             yield begin, end
 
 
-def threads(pids: Iterable[int], seconds: float, proc: Path = Path("/proc")) -> dict[int, list[ThreadCost]]:
-    """What each thread of these processes cost within `seconds`. Threads that began or ended meanwhile are left out."""
+def threads(pids: Iterable[int], wait: Callable[[], None], proc: Path = Path("/proc")) -> dict[int, list[ThreadCost]]:
+    """What each thread of these processes cost during `wait`. Threads that began or ended meanwhile are left out."""
     pids = list(pids)
     before, began = {pid: _counters(pid, proc) for pid in pids}, time.monotonic()
-    time.sleep(seconds)
+    wait()
     after, passed_s = {pid: _counters(pid, proc) for pid in pids}, time.monotonic() - began
     return {
         pid: [

@@ -16,6 +16,7 @@ from phm.core.bus import Bus
 from phm.core.dependency_graph import DependencyGraph
 from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Note, Phase
 from phm.core.settings import ContainerSettings, Settings
+from phm.facts import ContainerFact
 from phm.recovery.base import Action, ActionContext, NotNeeded, Target
 from phm.recovery.executor import Executor
 from phm.recovery.persistence.persistence_service import PersistenceService
@@ -45,7 +46,11 @@ class Containers:
 
     def __init__(self, *keys: str) -> None:
         self.facts = {key: testing.container(key) for key in keys}
-        self._starts = 0
+        self._starts = self.asked = 0
+
+    def get(self, key: str) -> ContainerFact | None:
+        self.asked += 1
+        return self.facts.get(key)
 
     def start(self, key: str, *, by_policy: bool = False) -> None:
         """A new life: by an operator or by PHM (the counter of the restart policy is 0 again), or by that policy."""
@@ -148,7 +153,7 @@ class Agent:
         context = ActionContext(
             cast(Any, self.engine),
             action_settings(self.settings),
-            containers.facts.get,
+            containers.get,
             lambda: None,
             lambda a, b: None,
         )

@@ -12,6 +12,7 @@ import pytest
 from phm import testing
 from phm.core.model import ActionEvent, Fault, Phase
 from phm.recovery.base import ActionContext
+from phm.recovery.worker import GENERATION_S
 from phm.transport.docker import EngineError, EngineNotConnected, EngineTimeout, EngineUnreachable
 from tests.recovery.simulated_agent import Agent, Containers, Of
 
@@ -177,6 +178,15 @@ def test_a_restart_by_phm_does_not_reset_attempts(yard: Yard) -> None:
     agent = yard.given_up(verify=1.0)
     agent.rest(60.0)
     assert len(agent.runs) == 2
+
+
+def test_the_engine_is_asked_once_for_each_look_at_the_container(yard: Yard) -> None:
+    """Ten minutes long after a recovery, on a computer that flies: each request costs PHM and the engine CPU time."""
+    agent = yard.given_up()
+    agent.rest(5.0)
+    before = yard.containers.asked
+    agent.rest(10 * GENERATION_S)
+    assert yard.containers.asked - before <= 11
 
 
 def test_a_recreation_is_detected_over_a_restart_of_phm(yard: Yard) -> None:

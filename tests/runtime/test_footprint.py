@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import threading
+from functools import partial
 from pathlib import Path
 
 import psutil
@@ -65,7 +66,7 @@ def test_threads_and_memory_of_a_process_are_measured() -> None:
     me = os.getpid()
 
     def wakeups() -> float:
-        costs = {cost.name: cost for cost in footprint_proc.threads([me], 0.5)[me]}
+        costs = {cost.name: cost for cost in footprint_proc.threads([me], partial(done.wait, 0.5))[me]}
         return costs["often"].wakeups
 
     until(lambda: wakeups() > 1, "a measurement in which a busy machine lets it wake")
@@ -123,3 +124,27 @@ def test_a_phm_of_another_user_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(footprint_proc, "memory", refused)
     with pytest.raises(ValueError, match="another user"):
         footprint.measure([{"daemon": os.getpid()}], 0.01)
+
+
+def test_the_cpu_of_a_container_has_what_ends_in_it(tmp_path: Path) -> None:
+    """A health check is a separate process, whose time only the cgroup has."""
+    used = tmp_path / "cpuacct.usage"
+    used.write_text("1000000000\n")
+
+    def check_runs(seconds: float) -> None:
+        used.write_text("61000000000\n")
+
+    group = {"phm-1": tmp_path}
+    found = footprint.measure([{"daemon": os.getpid()}], 0.0, group, check_runs)
+    assert found["containers"]["phm-1"] > 1000, "60 s of CPU time in next to no time"
+
+    with pytest.raises(ValueError, match="phm-1"):
+        footprint.measure([{"daemon": os.getpid()}], 0.0, group, lambda seconds: used.unlink())
+
+
+def test_a_container_that_does_not_run_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With its name and what to do, in one line."""
+    monkeypatch.setenv("DOCKER_HOST", "nonsense")
+    with pytest.raises(ValueError, match="no-such-container"):
+        footprint.containers(["no-such-container"])
+    assert footprint.containers([]) == {}
