@@ -47,12 +47,21 @@ def _mean(value: Callable[[Verdict], float | None]) -> _Shown:
     return lambda found: number(stats(map(value, found)).mean, "{:.2f} s")
 
 
+def _first_otherwise(verdict: Verdict) -> bool:
+    """Its cause counts as right, but its unit was first known with a condition that the fault does not have: perhaps what its
+    injection did on the way."""
+    fault = verdict.injection
+    first = next((each for each in verdict.since if (each.agent, each.unit) == (fault.agent, fault.unit)), None)
+    return verdict.right and first is not None and first.conditions[0] not in (fault.condition, fault.earlier)
+
+
 _Shown = Callable[[Sequence[Verdict]], str]
 _SHOWN: tuple[tuple[str, _Shown], ...] = (
     ("injected", lambda found: str(len(found))),
     ("detected at their unit", _part(lambda each: each.detected_s is not None)),
     ("missed", _part(lambda each: each.missed)),
     ("cause right", _part(lambda each: each.right)),
+    ("of these, first known as something else", lambda found: str(sum(map(_first_otherwise, found)))),
     ("healable, ended by action", _part(lambda each: each.by_action, lambda each: each.injection.healable)),
     ("detection, mean", _mean(lambda each: each.detected_s)),
     ("recovery by action, mean", _mean(lambda each: each.recovered_s if each.by_action else None)),

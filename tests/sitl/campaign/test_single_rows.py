@@ -16,11 +16,12 @@ ROUTER = "container/router"
 def test_faults_are_split_by_whether_their_agent_had_others() -> None:
     """A fault on another agent, one that could not be injected and the run with recovery off do not count."""
     failed = injection(fault="device_gone", unit="devices/x", moment=None)
+    early = alarm(0.6, outcome="resolved", by="restart", conditions=["missing", "node_missing"])
     other = injection(fault="router_killed", unit=ROUTER, condition="exited", healable=False, world=None)
     found = groups(
         [
             trial(injections=[injection(), injection(agent=4), failed]),
-            trial(number=2, injections=[injection(), other], alarms=[alarm(0.6, outcome="resolved", by="restart")]),
+            trial(number=2, injections=[injection(), other], alarms=[early]),
             trial(kind=OFF, number=1),
         ]
     )
@@ -29,6 +30,7 @@ def test_faults_are_split_by_whether_their_agent_had_others() -> None:
         ("the only one: detected at their unit", "1 of 2"),
         ("the only one: missed", "1 of 2"),
         ("the only one: cause right", "1 of 2"),
+        ("the only one: of these, first known as something else", "0"),
         ("the only one: healable, ended by action", "1 of 2"),
         ("the only one: detection, mean", "0.40 s"),
         ("the only one: recovery by action, mean", "4.00 s"),
@@ -36,6 +38,7 @@ def test_faults_are_split_by_whether_their_agent_had_others() -> None:
         ("with others: detected at their unit", "1 of 2"),
         ("with others: missed", "1 of 2"),
         ("with others: cause right", "1 of 2"),
+        ("with others: of these, first known as something else", "1"),
         ("with others: healable, ended by action", "1 of 1"),
         ("with others: detection, mean", "0.60 s"),
         ("with others: recovery by action, mean", "4.00 s"),
