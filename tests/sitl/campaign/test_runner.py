@@ -212,7 +212,7 @@ def test_a_fault_that_an_outage_of_the_engine_hides_is_awaited_longer(
     runner: Runner, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """PHM can report it only when the engine is back."""
-    monkeypatch.setattr(campaign_runner.time, "monotonic", lambda: T0 + 40.0)
+    monkeypatch.setattr(time, "monotonic", lambda: T0 + 40.0)
     for hidden_s, done in ((0.0, True), (25.0, False)):
         made = trial(injections=[injection(world=None, evidence_s=0.1, hidden_s=hidden_s)], alarms=[], acts=[])
         assert runner._done(made) is done
