@@ -44,7 +44,10 @@ def _what(group: argparse._ArgumentGroup) -> None:
     seeds.add_argument("--seed", type=int, metavar="S", help="instead: this one, for a try")
     group.add_argument("--commit", default="", metavar="ID", help="full commit id (that of this working tree)")
     group.add_argument(
-        "--trials", type=int, metavar="N", help="of each seed (20, or as many as inject every fault three times)"
+        "--trials",
+        type=int,
+        metavar="N",
+        help="of each seed (20, or as many as inject every fault three times, once as the only one of its agent)",
     )
     group.add_argument("--only", nargs="+", default=(), metavar="FAULT", help="draw from these faults alone")
     group.add_argument("--profile", choices=PROFILES, default="shipped", help="how much is configured (shipped)")

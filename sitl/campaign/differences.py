@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from typing import Any
 
@@ -93,9 +94,11 @@ def _value(value: Any, expander: Expander) -> Any:
 
 
 def described(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Environment and HEALTHCHECK of a container or an image, from its `Config`."""
+    """Command, environment and HEALTHCHECK of a container or an image, from its `Config`."""
     variables = dict(entry.partition("=")[::2] for entry in config.get("Env") or ())
     found: dict[str, Any] = {f"environment.{key}": value for key, value in variables.items() if key not in _HIDDEN}
+    if config.get("Cmd"):
+        found["command"] = shlex.join(config["Cmd"])
     check = config.get("Healthcheck") or {}
     for key in ("Interval", "Timeout", "StartPeriod", "Retries"):
         if check.get(key):

@@ -51,12 +51,19 @@ class TrialPlan:
         """The largest number of faults on one agent."""
         return max(Counter(draw.agent for draw in self.draws).values(), default=0)
 
+    @property
+    def singly(self) -> list[Draw]:
+        """The faults that are the only one of their agent."""
+        on = Counter(draw.agent for draw in self.draws)
+        return [draw for draw in self.draws if on[draw.agent] == 1]
+
 
 def plan(
     seeds: Sequence[int], agents: int, trials: int, classes: Collection[Class], wanted: Sequence[Pair] = ()
 ) -> tuple[tuple[TrialPlan, ...], ...]:
     """The trials of each seed. Every choice takes a class that was drawn least often so far, over all seeds, and draws
-    among those by the seed. So more seeds begin with the same trials.
+    among those by the seed. The only fault of an agent is of a class that never was the only one, if there is any. So more
+    seeds begin with the same trials.
 
     `wanted`: pairs of kinds that must be injected on one agent, in turn. Raises ValueError when there is nothing to draw
     from.
@@ -76,6 +83,11 @@ def counts(plans: Collection[Sequence[TrialPlan]]) -> Counter[str]:
     return Counter(draw.fault for trials in plans for trial in trials for draw in trial.draws)
 
 
+def singly(plans: Collection[Sequence[TrialPlan]]) -> Counter[str]:
+    """How often each fault is the only one of its agent."""
+    return Counter(draw.fault for trials in plans for trial in trials for draw in trial.singly)
+
+
 def trials_for(
     seeds: Sequence[int],
     agents: int,
@@ -85,10 +97,12 @@ def trials_for(
     wanted: Sequence[Pair] = (),
     most: int = 200,
 ) -> int:
-    """The number of trials of each seed, at least `least`, with which every class is injected so many `times` in all."""
+    """The number of trials of each seed, at least `least`, with which every class is injected so many `times` in all, once or
+    more as the only fault of its agent."""
     for trials in range(least, most):
-        found = counts(plan(seeds, agents, trials, classes, wanted))
-        if all(found[each.name] >= times for each in classes):
+        plans = plan(seeds, agents, trials, classes, wanted)
+        found, single = counts(plans), singly(plans)
+        if all(found[each.name] >= times and single[each.name] >= min(times, 1) for each in classes):
             return trials
     raise ValueError(f"{most} trials of each seed do not inject each of {len(classes)} faults {times} times")
 
@@ -125,6 +139,8 @@ class _Drawer:
     def __init__(self, classes: Sequence[Class], wanted: Sequence[Pair]) -> None:
         self._classes, self._wanted = classes, wanted
         self._drawn: Counter[str] = Counter()
+        self._singly: set[str] = set()
+        """Classes that were drawn as the only fault of an agent."""
         self._pairs: Counter[Pair] = Counter()
         self._groups = 0
 
@@ -132,15 +148,20 @@ class _Drawer:
         """Up to `size` faults for one agent. `sole`: no other agent gets any."""
         usable = [each for each in self._classes if each not in taken and (sole or not each.alone)]
         group = self._pair(rng, usable) if size > 1 else []
+        first = [each for each in usable if each.name not in self._singly] if size == 1 else []
         while len(group) < size:
             more = self._next(
-                rng, usable, lambda each: each not in group and fits(each, group) and (size == 1 or bool(each.partners))
+                rng,
+                first or usable,
+                lambda each: each not in group and fits(each, group) and (size == 1 or bool(each.partners)),
             ) or (None if group else self._next(rng, usable, lambda _: True))
             if more is None:
                 break
             group.append(more)
         for each in group:
             self._drawn[each.name] += 1
+        if len(group) == 1:
+            self._singly.add(group[0].name)
         return group
 
     def _pair(self, rng: random.Random, usable: Sequence[Class]) -> list[Class]:

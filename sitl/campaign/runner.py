@@ -275,7 +275,7 @@ class Runner:
             fault, begun = verdict.injection, verdict.injection.moment or now
             if verdict.claimed_s is not None or (fault.explained_by and fault.world is not None):
                 continue
-            expected = now - begun <= self.profile.seen_limit_s + (fault.evidence_s or 0.0)
+            expected = now - begun <= self.profile.seen_limit_s + (fault.evidence_s or 0.0) + fault.hidden_s
             if verdict.detected_s is None and expected:
                 return False
             if fault.others and not any(alarm.unit == fault.others for alarm in verdict.alarms):

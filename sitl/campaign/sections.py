@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from sitl.campaign import fault_rows, irregular, table
+from sitl.campaign import fault_rows, irregular, single_rows, table
 from sitl.campaign.evidence import RATIO
 from sitl.campaign.groups import Group
 from sitl.campaign.table import Rows
@@ -61,6 +61,12 @@ def sections(groups: Sequence[Group]) -> list[Section]:
             "counts when both say that the fault is over, from the later of the two moments.",
             table.head("number of faults", groups),
             table.outside(groups),
+        ),
+        Section(
+            "The only fault of an agent, and with others",
+            "In three of eight trials two or three faults are on one agent, one after the other without a pause.",
+            table.head("faults", groups),
+            single_rows.rows(groups),
         ),
         Section(
             "Not in a mean or a count",

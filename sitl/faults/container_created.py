@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 
 from docker.models.containers import Container
 
 from phm_checks.container import UNSTARTED_S
 from sitl.faults._world import app_runs
-from sitl.faults.base import Agent, Fault
+from sitl.faults.base import Agent, Fault, freeze, undoing
 
 
 class Injection(Fault):
     """Puts an unstarted copy in the place of the container, as `docker compose up --no-start` does when an image is new.
 
-    The copy takes the name first and the old one goes after, so that it is the copy that PHM finds.
+    The copy takes the name first and the old one goes after, so that it is the copy that PHM finds, and nothing is missing.
     """
 
     name, title, unit = "container_created", "container recreated, never started", "container/ros_app"
@@ -26,10 +27,9 @@ class Injection(Fault):
 
     def inject(self, agent: Agent) -> float:
         old = agent.app
-        service, copy = str(old.name), copied(agent, old)
-        moment = time.monotonic()
-        old.rename(f"{service}-old")
-        copy.rename(service)
+        copy = copied(agent, old)
+        with undoing(partial(copy.remove, force=True)):
+            moment = swap(agent, old, copy)
         old.remove(force=True)
         return moment
 
@@ -38,6 +38,23 @@ class Injection(Fault):
 
     def restored(self, agent: Agent) -> bool | None:
         return app_runs(agent)
+
+
+def swap(agent: Agent, old: Container, copy: Container) -> float:
+    """Give the copy the name of the old one; the moment before.
+
+    Two names cannot be changed in one step. PHM looks within milliseconds, and would rightly report a missing container, so
+    it is frozen meanwhile.
+    """
+    service, sidecar = str(old.name), agent.sidecar
+    freeze(sidecar)
+    try:
+        moment = time.monotonic()
+        old.rename(f"{service}-old")
+        copy.rename(service)
+    finally:
+        sidecar.unpause()
+    return moment
 
 
 def copied(agent: Agent, old: Container) -> Container:

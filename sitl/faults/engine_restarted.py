@@ -9,7 +9,9 @@ from pathlib import Path
 from sitl.faults._docker_proxy import block, responds, start, stop
 from sitl.faults.base import Agent, Fault
 
-AWAY_S = 15.0
+AWAY_S = 25.0
+"""Longer than PHM's wait before it reports from a cgroup alone that a container has ended (`phm_checks.container.WITHOUT_ENGINE_S`,
+15 s): if the engine returned just then, a campaign would never measure that."""
 SOCKET = "engine.sock"
 
 

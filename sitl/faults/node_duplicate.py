@@ -8,6 +8,16 @@ from sitl.faults._application import works
 from sitl.faults.base import Agent, Fault
 
 PID = "/tmp/duplicate.pid"
+NODE_PID = "/tmp/nodes/node_1.pid"
+AGAIN = """
+import os, sys
+def words(name):
+    with open(f"/proc/{sys.argv[1]}/{name}", "rb") as file:
+        return file.read().split(b"\\0")[:-1]
+command = words("cmdline")
+os.execve(command[0], command, dict(each.split(b"=", 1) for each in words("environ")))
+"""
+"""Becomes what the process with that number is: same rates, and with or without a beacon and its name in the command line."""
 ENDED = f"for turn in 1 2 3 4 5 6; do kill -0 $(cat {PID}) 2>/dev/null || break; sleep 0.5; done; "
 
 
@@ -25,8 +35,7 @@ class Injection(Fault):
     def inject(self, agent: Agent) -> float:
         self._generation = agent.generation
         node = (
-            f"ros-entrypoint python -m sitl.application.node --name node_1 --namespace /{agent.name} --publish topic_1:10 "
-            f"--subscribe topic_3 </dev/null >/dev/null 2>&1 & echo $! > {PID}"
+            f"node=$(cat {NODE_PID}) && {{ python -c '{AGAIN}' $node </dev/null >/dev/null 2>&1 & echo $! > {PID}; }}"
         )
         moment = time.monotonic()
         agent.run_in_app("sh", "-c", node)  # its number is there when this returns, however busy the engine is

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 
 from sitl.faults._application import works
-from sitl.faults.base import Agent, Fault, freeze, put
-from sitl.faults.container_created import copied
+from sitl.faults.base import Agent, Fault, put, undoing
+from sitl.faults.container_created import copied, swap
 
 LEFT_OUT = "/tmp/left_out"
 """Names of nodes that the application's launcher leaves out at its next start, and at that one alone."""
@@ -26,22 +27,12 @@ class Injection(Fault):
 
     def inject(self, agent: Agent) -> float:
         old = agent.app
-        service, copy = str(old.name), copied(agent, old)
-        try:
+        copy = copied(agent, old)
+        with undoing(partial(copy.remove, force=True)):  # else its nodes would run beside those of the old one
             put(copy, LEFT_OUT, b"node_1\n")
             moment = time.monotonic()
             copy.start()
-            # Two names cannot be changed in one step. PHM looks within milliseconds, and would rightly report a missing container.
-            sidecar = agent.sidecar
-            freeze(sidecar)
-        except Exception:
-            copy.remove(force=True)  # else its nodes would run beside those of the old one
-            raise
-        try:
-            old.rename(f"{service}-old")
-            copy.rename(service)
-        finally:
-            sidecar.unpause()
+            swap(agent, old, copy)
         old.remove(force=True)
         self._generation = agent.generation
         return moment

@@ -10,7 +10,7 @@ import pytest
 
 from sitl.application import app, graph
 from sitl.application.graph import ring
-from sitl.campaign.differences import compare, described, flat, of_configuration, of_fault
+from sitl.campaign.differences import compare, described, flat, of_configuration, of_container, of_fault
 from sitl.campaign.fault_catalog import OFF
 from sitl.campaign.fault_rows import differences
 from sitl.campaign.groups import groups
@@ -121,13 +121,27 @@ def test_off_is_a_text() -> None:
     assert tree["recovery"]["mode"] == "off"
 
 
-def test_a_container_is_described_by_environment_and_healthcheck() -> None:
+def test_a_container_is_described_by_command_environment_and_healthcheck() -> None:
     """In seconds, without the variables that every image has."""
     check = {"Test": ["CMD", "true"], "Interval": 30 * 10**9, "Retries": 1}
-    assert described({"Env": ["A=b=c", "PATH=/bin"], "Healthcheck": check}) == {
-        "environment.A": "b=c", "healthcheck.interval": "30s", "healthcheck.retries": 1,
+    assert described({"Cmd": ["app", "--graph", "[1, 2]"], "Env": ["A=b=c", "PATH=/bin"], "Healthcheck": check}) == {
+        "command": "app --graph '[1, 2]'", "environment.A": "b=c", "healthcheck.interval": "30s", "healthcheck.retries": 1,
     }  # fmt: skip
-    assert described({"Env": None, "Healthcheck": None}) == {}
+    assert described({"Cmd": None, "Env": None, "Healthcheck": None}) == {}
+
+
+def test_the_command_of_an_application_as_found_is_a_difference() -> None:
+    """It is what the profile changes: no beacons, and no names in the command lines of nodes."""
+    command = ["python", "-m", "sitl.application.app"]
+    image, here = ({"Cmd": words} for words in (command, [*command, "--as-found"]))
+    assert of_container("application", described(here), described(image)) == [
+        {
+            "of": "application",
+            "key": "command",
+            "shipped": "python -m sitl.application.app",
+            "here": "python -m sitl.application.app --as-found",
+        }
+    ]
 
 
 def test_the_command_lines_of_an_application_as_found_do_not_name_its_nodes() -> None:

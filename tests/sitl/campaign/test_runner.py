@@ -21,7 +21,7 @@ from sitl.campaign.runner import NotOk, Runner
 from sitl.campaign.trial import ABORTED, Load, Trial
 from sitl.faults.base import Agent, Fault
 from sitl.faults.memory_leak import LASTS_S as LEAK_S
-from tests.fakes.campaign_trials import injection, started, trial
+from tests.fakes.campaign_trials import T0, injection, started, trial
 
 PLAN = TrialPlan(4, (Draw("planned", 1),))
 
@@ -206,6 +206,16 @@ def test_slow_faults_have_longer_to_recover(runner: Runner) -> None:
     assert runner._recovered_limit_s(made) == 90.0 + 33.0
     runner.profile = ALL["as-found"]
     assert runner._recovered_limit_s(made) == 150.0 + 33.0
+
+
+def test_a_fault_that_an_outage_of_the_engine_hides_is_awaited_longer(
+    runner: Runner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """PHM can report it only when the engine is back."""
+    monkeypatch.setattr(time, "monotonic", lambda: T0 + 40.0)
+    for hidden_s, done in ((0.0, True), (25.0, False)):
+        made = trial(injections=[injection(world=None, evidence_s=0.1, hidden_s=hidden_s)], alarms=[], acts=[])
+        assert runner._done(made) is done
 
 
 def test_a_campaign_on_a_running_swarm_knows_its_last_actions(runner: Runner) -> None:

@@ -11,9 +11,11 @@ import pytest
 
 from phm.config import load
 from phm.recovery.ladders import LADDERS
+from phm_checks.container import WITHOUT_ENGINE_S
 from sitl import faults
 from sitl.acceptance import main, plan
 from sitl.demo.main import STORY
+from sitl.faults import engine_restarted
 from sitl.faults.base import LAYERS, Agent, Fault
 from sitl.harness.compose_stack import ROOT
 from sitl.harness.config_overrides import overridden, write
@@ -187,3 +189,8 @@ def test_the_document_has_every_fault_with_its_unit_and_condition() -> None:
         if not fault.also:
             assert f"`{fault.condition}`" in row
             assert f"`{fault.unit.replace('{agent}', '...')}`" in row
+
+
+def test_an_outage_of_the_engine_is_longer_than_what_phm_waits_without_it() -> None:
+    """By more than PHM needs to report a container's end from its cgroup; as long as that, no outage would show this path."""
+    assert engine_restarted.AWAY_S >= WITHOUT_ENGINE_S + 5.0

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
 from unittest import mock
 
 import pytest
 from docker.errors import APIError
 
-from sitl.faults import base, node_never_started
+from sitl.faults import base, container_created, node_never_started
 from sitl.faults.base import FREEZES, Agent, freeze
 
 UNABLE = APIError("Cannot pause container 1: OCI runtime pause failed: unable to freeze: unknown")
@@ -38,13 +39,28 @@ def test_a_container_that_cannot_be_paused_is_reported(error: APIError, calls: i
     assert made.pause.call_count == calls
 
 
-def test_a_copy_that_could_not_replace_the_application_is_removed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its nodes would run beside those of the application."""
-    copy, agent = mock.Mock(), mock.Mock(spec=Agent)
-    agent.sidecar = container(APIError("is not running"))
-    monkeypatch.setattr(node_never_started, "copied", lambda agent, old: copy)
+@pytest.fixture(params=[container_created, node_never_started])
+def fault(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A fault that replaces the application's container with `fault.copy`, on `fault.agent`; `fault.calls` has all calls."""
+    calls = mock.Mock()
+    agent = mock.Mock(spec=Agent, app=calls.old, sidecar=calls.sidecar)
+    calls.old.name, calls.old.attrs = "app", {"Id": "1"}
+    monkeypatch.setattr(request.param, "copied", lambda agent, old: calls.copy)
     monkeypatch.setattr(node_never_started, "put", lambda *words: None)
+    return mock.Mock(inject=request.param.Injection().inject, agent=agent, copy=calls.copy, calls=calls)
+
+
+def test_phm_is_frozen_while_a_copy_takes_the_name_of_the_application(fault: Any) -> None:
+    """Else it reports within 0.06 s that the container does not exist, which is true and not the fault."""
+    fault.inject(fault.agent)
+    names = [name for name, _, _ in fault.calls.mock_calls]
+    assert names[-5:] == ["sidecar.pause", "old.rename", "copy.rename", "sidecar.unpause", "old.remove"]
+
+
+def test_a_copy_that_could_not_replace_the_application_is_removed(fault: Any) -> None:
+    """Its nodes would run beside those of the application."""
+    fault.agent.sidecar.pause.side_effect = APIError("is not running")
     with pytest.raises(APIError):
-        node_never_started.Injection().inject(agent)
-    copy.remove.assert_called_once_with(force=True)
-    agent.app.rename.assert_not_called()
+        fault.inject(fault.agent)
+    fault.copy.remove.assert_called_once_with(force=True)
+    fault.agent.app.rename.assert_not_called()
