@@ -4,8 +4,9 @@ python tests/fakes/ros_discovery_forger.py COUNT [BAD [STALE]]
 
 Its own node is `/elsewhere/forger`, which has an endpoint. Its participant claims COUNT nodes in `/x`, and with BAD one
 whose name is not UTF-8: `node`, or `topic`, which gives that name to the publisher of /agent_1/topic_1 too;
-with `name` a topic has such a name instead, with `refused` one that ROS does not allow. With STALE, a participant that does not exist claims one node of this full
-name instead, as in the last announcement of a node that is processed after its end.
+with `name` a topic has such a name instead, with `refused` one that ROS does not allow. With STALE, a participant that
+does not exist claims one node of this full name instead, as in the last announcement of a node that is processed after
+its end.
 
 rclpy does not support this topic, which has no `rt/` prefix: it is accessed through rmw's C functions.
 """
