@@ -168,9 +168,7 @@ class Files:
             seen = {mount.destination: _my_view(mount, me.mounts) for mount in mounts}
         else:
             here = self._same_host
-            seen = {
-                mount.destination: SeenAt(mount.source) if here and not mount.subpath else None for mount in mounts
-            }
+            seen = {mount.destination: SeenAt(mount.source) if here and not mount.subpath else None for mount in mounts}
         return {destination: here for destination, here in seen.items() if here}
 
     def _sum_of_file(self, number: int, info: os.stat_result, path: str) -> str:

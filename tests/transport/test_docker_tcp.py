@@ -20,7 +20,9 @@ class Handler(BaseHTTPRequestHandler):
     """Answers each request like an engine."""
 
     def do_GET(self) -> None:
-        body = b'{"Version": "26.1", "ApiVersion": "1.45", "MinAPIVersion": "1.24"}' if "version" in self.path else b"OK"
+        body = (
+            b'{"Version": "26.1", "ApiVersion": "1.45", "MinAPIVersion": "1.24"}' if "version" in self.path else b"OK"
+        )
         self.send_response(200)
         self.send_header("Content-Type", "application/json")
         self.send_header("Content-Length", str(len(body)))
