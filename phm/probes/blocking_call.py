@@ -45,7 +45,10 @@ class BlockingCallWorker:
     def __init__(self, name: str) -> None:
         self._name = name
         self._lock = threading.Lock()
-        self._jobs: queue.SimpleQueue[_Job[object]] = queue.SimpleQueue()
+        self._jobs: queue.SimpleQueue[_Job[object] | None] = queue.SimpleQueue()
+        """None ends the thread."""
+        self._closing = threading.Lock()
+        self._closed = False
         self._hanging: _Job[object] | None = None
         self._thread: threading.Thread | None = None
 
@@ -59,14 +62,23 @@ class BlockingCallWorker:
                 raise CannotTell("an earlier call has not returned from the kernel yet")
             self._hanging = None
             job: _Job[T] = _Job(function)
-            self._start()
-            self._jobs.put(job)  # type: ignore[arg-type]  # the queue does not care for the type of the value
+            with self._closing:
+                if self._closed:
+                    raise CannotTell("PHM is stopping")
+                self._start()
+                self._jobs.put(job)  # type: ignore[arg-type]  # the queue does not care for the type of the value
             if not job.done.wait(timeout_s):
                 self._hanging = job  # type: ignore[assignment]
                 raise CannotTell(f"the kernel did not answer within {timeout_s:g} s")
             return job.result()
         finally:
             self._lock.release()
+
+    def close(self) -> None:
+        """Let the thread end when its call returns, without waiting for that; later calls raise CannotTell."""
+        with self._closing:
+            self._closed = True
+            self._jobs.put(None)
 
     def _start(self) -> None:
         if self._thread is None:
@@ -76,5 +88,5 @@ class BlockingCallWorker:
             self._thread = thread
 
     def _loop(self) -> None:
-        while True:
-            self._jobs.get().run()
+        while (job := self._jobs.get()) is not None:
+            job.run()

@@ -54,6 +54,9 @@ class Connector:
     def close(self) -> None:
         """End running calls; every later call fails immediately."""
         self._deadlines.close()
+        with self._lock:
+            for resolver in self._resolvers.values():
+                resolver.close()
 
     @contextlib.contextmanager
     def calling(self, timeout_s: float) -> Iterator[TimedCall]:

@@ -70,6 +70,10 @@ class Devices:
         self._lock = threading.Lock()
         self._described: dict[str, tuple[float, str]] = {}
 
+    def close(self) -> None:
+        """End the thread; later calls raise CannotTell."""
+        self._worker.close()
+
     def inspect(self, path: str, *, open_it: bool) -> DeviceFact | None:
         """The device at the host's `path`; the fact's path is the real one, with links followed."""
         return self._worker.call(lambda: self._inspect_and_watch(path, open_it), INSPECT_S)

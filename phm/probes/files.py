@@ -21,7 +21,7 @@ from phm.probes.file_stamp import settled, stamp
 from phm.probes.file_tree import TreeListing, TreeReader
 from phm.probes.inotify import FileWatcher
 from phm.probes.tree_comparison import Manifests, compare
-from phm.probes.volume_path import MAX_LINKS, OutsideVolumes, join, normal, resolve
+from phm.probes.volume_path import MAX_LINKS, OutsideVolumes, SeenAt, join, normal, resolve
 from phm.transport.docker import DockerEngine, EngineMissing
 
 MAX_BYTES = 1 << 30
@@ -116,7 +116,7 @@ class Files:
         self._last[container] = (fact, me)
         roots = self._roots(fact, me)
         try:
-            number = resolve(path, {mount.destination: roots.get(mount.destination, "") for mount in fact.mounts})
+            number = resolve(path, {mount.destination: roots.get(mount.destination) for mount in fact.mounts})
         except OutsideVolumes:
             raise CannotTell(
                 f"{path} is not in a volume that PHM sees: mount that volume or host folder for PHM, too, or list single files"
@@ -147,7 +147,7 @@ class Files:
             if self._watch(f"/proc/self/fd/{directory}", name):
                 fresh.append(name)
 
-        mounts = {mount.destination: roots.get(mount.destination, "") for mount in fact.mounts}
+        mounts = {mount.destination: roots.get(mount.destination) for mount in fact.mounts}
         number = resolve(path, mounts, passing)
         if fresh:
             self._changed()  # it may have changed between the inspection and the start of the watch
@@ -160,14 +160,15 @@ class Files:
             os.close(number)
         return _file_fact(path, info.st_mode, info.st_size, sha256, "volume")
 
-    def _roots(self, fact: ContainerFact, me: ContainerFact | None) -> dict[str, str]:
-        """The paths at which PHM sees the mounts of a container: destination in the container -> path here."""
+    def _roots(self, fact: ContainerFact, me: ContainerFact | None) -> dict[str, SeenAt]:
+        """Where PHM sees the mounts of a container, by destination in the container."""
         mounts = [mount for mount in fact.mounts if mount.kind in ("bind", "volume") and mount.source]
+        seen: dict[str, SeenAt | None]
         if me is not None:
             seen = {mount.destination: _my_view(mount, me.mounts) for mount in mounts}
         else:
             here = self._same_host
-            seen = {mount.destination: mount.source if here and not mount.subpath else "" for mount in mounts}
+            seen = {mount.destination: SeenAt(mount.source) if here and not mount.subpath else None for mount in mounts}
         return {destination: here for destination, here in seen.items() if here}
 
     def _sum_of_file(self, number: int, info: os.stat_result, path: str) -> str:
@@ -276,22 +277,23 @@ def _too_large(path: str, size: int) -> CannotTell:
     return CannotTell(f"{path} is too large to be read: {size >> 20} MiB or more")
 
 
-def _my_view(mount: Mount, mine: tuple[Mount, ...]) -> str:
-    """The path in PHM's own container of what `mount` shows to another one, or empty.
+def _my_view(mount: Mount, mine: tuple[Mount, ...]) -> SeenAt | None:
+    """Where PHM's own container sees what `mount` shows to another one, or None.
 
     A subpath is not followed within a volume that PHM sees as a whole: the application could replace it by a link.
     """
     for own in mine:
         if mount.kind == "volume" == own.kind and mount.name and (mount.name, mount.subpath) == (own.name, own.subpath):
-            return own.destination
+            return SeenAt(own.destination)
     if mount.subpath:
-        return ""
+        return None
     whole = [own for own in mine if own.source and not own.subpath]
     covering = [own for own in whole if os.path.commonpath((own.source, mount.source)) == own.source]
     if not covering:
-        return ""
+        return None
     nearest = max(covering, key=lambda own: len(own.source))
-    return join(nearest.destination, os.path.relpath(mount.source, nearest.source))
+    rest = os.path.relpath(mount.source, nearest.source)
+    return SeenAt(nearest.destination, "" if rest == "." else rest)
 
 
 def _posix_mode(go_mode: int) -> int:

@@ -130,6 +130,11 @@ class Host:
                 fans_rpm=slow.fans_rpm,
             )
 
+    def close(self) -> None:
+        """End the threads; later calls find no disk readable."""
+        for worker in self._disks.values():
+            worker.close()
+
     def _memory(self) -> tuple[int, int]:
         """Total bytes, and bytes available without swapping (MemAvailable)."""
         found = {}

@@ -33,6 +33,9 @@ watched before: earlier observations may be old.
 MOST_DIRECTORIES = 128
 MOST_NAMES = 256
 """Maximum number of names for which events of one directory are kept."""
+UNUSED_S = 30.0
+"""A name that was not looked at for this long makes room for a new one. Checks look at their names every few seconds; other names
+come from links, which applications change."""
 GATHER_S = 0.05
 """After each event further ones are collected for this long, so that a busy directory costs little."""
 PACE_S, PACE_MAX_S, CALM_S = 0.1, 5.0, 10.0
@@ -59,10 +62,32 @@ class _Listener:
 
 
 @dataclass(eq=False)
+class _Name:
+    """Who wants to know about a name, and when it was last looked at."""
+
+    used_s: float
+    listeners: list[_Listener] = field(default_factory=list)
+
+
+@dataclass(eq=False)
 class _Directory:
+    """wanted: the name that was not looked at for the longest time comes first."""
+
     key: tuple[int, int]
     mask: int = 0
-    wanted: dict[str, list[_Listener]] = field(default_factory=dict)
+    wanted: dict[str, _Name] = field(default_factory=dict)
+
+    def use(self, name: str, now_s: float) -> _Name | None:
+        """The entry of this name, a new one if there is room for it; else None."""
+        known = self.wanted.pop(name, None)
+        if known is None and len(self.wanted) >= MOST_NAMES:
+            oldest = next(iter(self.wanted))
+            if now_s - self.wanted[oldest].used_s < UNUSED_S:
+                return None
+            del self.wanted[oldest]
+        used = self.wanted[name] = known or _Name(now_s)
+        used.used_s = now_s
+        return used
 
 
 class FileWatcher:
@@ -110,10 +135,10 @@ class FileWatcher:
             number = self._number((seen.st_dev, seen.st_ino), directory, listener.mask)
             if number is None:
                 return False
-            listeners = self._directories[number].wanted.setdefault(name, [])
-            if listener in listeners or len(self._directories[number].wanted) > MOST_NAMES:
+            entry = self._directories[number].use(name, self._clock.mono())
+            if entry is None or listener in entry.listeners:
                 return False
-            listeners.append(listener)
+            entry.listeners.append(listener)
             return True
 
     def _number(self, key: tuple[int, int], directory: str, mask: int) -> int | None:
@@ -193,16 +218,16 @@ class FileWatcher:
         directory = self._directories.get(number)
         if directory is None:
             return []
-        everybody = [listener for some in directory.wanted.values() for listener in some]
+        everybody = [listener for entry in directory.wanted.values() for listener in entry.listeners]
         if mask & (_IGNORED | _MOVE_SELF | _UNMOUNT):
             # Its path now names another directory, or none: the next scan watches that.
             self._forget(number, directory, gone=bool(mask & _IGNORED))
             return everybody
         wanted = [
             listener
-            for pattern, some in directory.wanted.items()
+            for pattern, entry in directory.wanted.items()
             if pattern == name or (_is_pattern(pattern) and fnmatchcase(name, pattern))
-            for listener in some
+            for listener in entry.listeners
         ]
         return [listener for listener in wanted if listener.mask & mask]
 

@@ -82,6 +82,10 @@ class Links:
             self._pilots_gcs, self._any_gcs, self._unreached = before._pilots_gcs, before._any_gcs, before._unreached
             self._pilot, self._radios, self._flows = before._pilot, before._radios, before._flows
 
+    def close(self) -> None:
+        """End the thread that looks for the users of a port. The endpoints stay open: they are the hub's."""
+        self._worker.close()
+
     # ------------------------------------------------------------ queries of checks
 
     def gcs_age_s(self) -> float | None:

@@ -51,6 +51,10 @@ class _Reader:
     failed: bool = False
     lock: threading.Lock = field(default_factory=threading.Lock)
 
+    def close(self) -> None:
+        self.worker.close()
+        self.file.close()
+
     def read_on(self) -> None:
         """Read the file. What a read that was given up finds later is there for the next one."""
         data, skipped = self.file.read()
@@ -120,7 +124,7 @@ class Logs:
         if self._clock.mono() - self._resumed < RESUME_S:
             return
         for name, place in self._earlier.items():
-            place.file.close()
+            place.close()
             self._memories.pop(name, None)
         self._earlier = {}
 
@@ -133,7 +137,8 @@ class Logs:
         with self._lock:
             readers = [*self._readers.values(), *self._earlier.values()]
         for place in readers:
-            # A reader that hangs in a dead mount keeps its file.
+            # A reader that hangs in a dead mount keeps its file; its thread ends when the mount answers.
+            place.worker.close()
             if place.lock.acquire(timeout=0.1):
                 place.file.close()
                 place.lock.release()
@@ -162,7 +167,7 @@ class Logs:
     def _reader(self, name: str, path: str, container: str) -> _Reader:
         place = self._earlier.pop(name, None)
         if place is not None and (place.file.path, place.container) != (path, container):
-            place.file.close()
+            place.close()
             place = None
             self._memories.setdefault(name, LogMemory()).found.clear()
         if place is None:

@@ -26,6 +26,8 @@ MOST_ASKED = 16
 """Number of containers whose statistics are requested at a time."""
 BUDGET_S, LIST_S = 2.0, 1.0
 """Deadline for all of these together, and of that for their list: the engine of a starved machine is starved too."""
+AGAIN_S = 5.0
+"""An engine that did not answer with a list is not asked for another one for this long."""
 LEAST_CPUS = 0.05
 """Smaller consumers are not listed."""
 _MOST_NAMES = 1000
@@ -60,6 +62,8 @@ class TopConsumers:
         self._last: tuple[ConsumerFact, ...] = ()
         self._read_at = float("-inf")
         self._cheap = self._may_list = True
+        self._list_at = float("-inf")
+        """When the engine may be asked for a list again."""
 
     def read(self) -> tuple[ConsumerFact, ...]:
         """See `phm.facts.pressure.PressureProbe.consumers`. Raises CannotTell."""
@@ -67,16 +71,17 @@ class TopConsumers:
             now = self._clock.mono()
             if now - self._read_at < (LEAST_S if self._cheap else ENGINE_LEAST_S):
                 return self._last
+            budget = TimeBudget(self._clock, BUDGET_S)
             by_files = cgroups.used_by_all(self._root, self._groups())
             used, every = {each: (now, spent) for each, spent in by_files.items()}, True
             self._cheap = bool(used)
             if not used:
-                used, every = self._by_engine()
+                used, every = self._by_engine(budget)
             self._read_at, busy_s = self._clock.mono(), self._busy_s()
             self._compare(used, MOST_S if self._cheap else ENGINE_MOST_S)
             outside = self._outside(used, busy_s) if every else 0.0
             self._whole = (self._read_at, used, busy_s) if every else None
-            self._last = self._facts(outside)
+            self._last = self._facts(outside, budget)
             return self._last
 
     def _compare(self, used: Mapping[str, _Reading], most_s: float) -> None:
@@ -106,23 +111,24 @@ class TopConsumers:
             return 0.0
         return (busy_s - self._whole[2]) / span_s - sum(cpus for _, cpus in self._cpus.values())
 
-    def _facts(self, outside: float) -> tuple[ConsumerFact, ...]:
-        first = sorted(((cpus, each) for each, (_, cpus) in self._cpus.items() if cpus >= LEAST_CPUS), reverse=True)
-        found = [ConsumerFact(self._name(each), cpus) for cpus, each in first[:MOST_ASKED]]
+    def _facts(self, outside: float, budget: TimeBudget) -> tuple[ConsumerFact, ...]:
+        first = sorted(((cpus, each) for each, (_, cpus) in self._cpus.items() if cpus >= LEAST_CPUS), reverse=True)[
+            :MOST_ASKED
+        ]
+        known = self._known()
+        self._learn_names([each for _, each in first if each not in known and each not in self._names], budget)
+        found = [ConsumerFact(known.get(each) or self._names.get(each) or _by_id(each), cpus) for cpus, each in first]
         if outside >= LEAST_CPUS:
             found.append(ConsumerFact("", outside))
         return tuple(sorted(found, key=lambda fact: -fact.cpus))
 
-    def _name(self, container: str) -> str:
-        key = self._known().get(container) or self._names.get(container)
-        if key is None:
-            self._learn_names()
-            key = self._names.setdefault(container, f"container {container[:12]}")
-        return key
-
-    def _learn_names(self) -> None:
-        """Request the name once for each new container: one that the engine does not name keeps its id."""
-        self._take_names(self._list(BUDGET_S) or ())
+    def _learn_names(self, new: Sequence[str], budget: TimeBudget) -> None:
+        """Request the names of new containers with one call; one that the engine's answer does not name keeps its id."""
+        listed = self._list(budget.left_s()) if new and not budget.used_up else None
+        if listed is not None:
+            self._take_names(listed)
+            for container in new:
+                self._names.setdefault(container, _by_id(container))
 
     def _take_names(self, listed: Sequence[Mapping[str, Any]]) -> None:
         if len(self._names) > _MOST_NAMES:
@@ -133,24 +139,24 @@ class TopConsumers:
                 self._names[str(entry.get("Id"))] = str(names[0]).lstrip("/")
 
     def _list(self, deadline_s: float) -> Sequence[Mapping[str, Any]] | None:
-        """All containers; None if the engine does not answer. A proxy that refuses is asked once."""
-        if not self._may_list:
+        """All containers; None if the engine does not answer, which is then not asked for a while. A proxy that refuses is asked once."""
+        if not self._may_list or self._clock.mono() < self._list_at:
             return None
         try:
             return self._engine.list(deadline_s=deadline_s)
         except NotPermitted:
             self._may_list = False
         except CannotTell:
-            pass
+            self._list_at = self._clock.mono() + AGAIN_S
         return None
 
-    def _by_engine(self) -> tuple[dict[str, _Reading], bool]:
+    def _by_engine(self, budget: TimeBudget) -> tuple[dict[str, _Reading], bool]:
         """Readings by container, of as many as the engine answers for within the budget, and whether these are all that run.
 
         On a busy machine, or with many containers, one reading does not reach all of them. Those come first that were asked about
         once, since their use is known only after the second time; then those not asked about for the longest time.
         """
-        budget, used = TimeBudget(self._clock, BUDGET_S), {}
+        used: dict[str, _Reading] = {}
         listed = self._list(LIST_S)
         if listed is not None:
             self._take_names(listed)
@@ -186,3 +192,7 @@ class TopConsumers:
             raise CannotTell(f"the kernel's figures cannot be read ({error}): is /proc mounted?") from error
         idle = sum(ticks[_IDLE : _IOWAIT + 1])
         return (sum(ticks) - idle) / os.sysconf("SC_CLK_TCK")
+
+
+def _by_id(container: str) -> str:
+    return f"container {container[:12]}"

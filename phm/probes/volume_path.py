@@ -12,6 +12,7 @@ import os
 import stat
 from collections import deque
 from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
 MAX_LINKS = 40  # the kernel's limit
 _OPEN = os.O_PATH | os.O_NOFOLLOW | os.O_CLOEXEC
@@ -36,10 +37,17 @@ Passing = Callable[[int, str], None]
 """Called with each step: the directory's open descriptor, and the name that is looked up in it."""
 
 
-def resolve(path: str, roots: Mapping[str, str], passing: Passing | None = None) -> int | None:
+class SeenAt(NamedTuple):
+    """Where PHM sees a mount: at the root of one of its own mounts, or at `rest` below it, which programs may replace by links."""
+
+    mount: str
+    rest: str = ""
+
+
+def resolve(path: str, roots: Mapping[str, SeenAt | None], passing: Passing | None = None) -> int | None:
     """A descriptor (O_PATH, to be closed) of the target of `path`, or None if it does not exist.
 
-    roots: destination of every mount of the container -> where PHM sees it, empty if it does not. Raises Outside if the
+    roots: destination of every mount of the container -> where PHM sees it, None if it does not. Raises Outside if the
     path leads out of these.
     """
     with _Walk(roots, passing) as walk:
@@ -54,7 +62,7 @@ def resolve(path: str, roots: Mapping[str, str], passing: Passing | None = None)
 class _Walk:
     """Invariant: `number` is the open descriptor of `done`, which contains no links; or None between mounts."""
 
-    def __init__(self, roots: Mapping[str, str], passing: Passing | None = None) -> None:
+    def __init__(self, roots: Mapping[str, SeenAt | None], passing: Passing | None = None) -> None:
         self._roots = roots
         self._passing = passing
         self._done: list[str] = []
@@ -114,12 +122,17 @@ class _Walk:
                 raise OutsideVolumes(here)
             return
         root = max(covering, key=len)
-        if not self._roots[root]:
+        seen = self._roots[root]
+        if seen is None:
             raise OutsideVolumes(here)
         try:
-            self._move(os.open(self._roots[root], os.O_PATH | os.O_CLOEXEC))
+            self._move(os.open(seen.mount, os.O_PATH | os.O_CLOEXEC))
+            for part in filter(None, seen.rest.split("/")):
+                self._step(part)
         except OSError as error:
-            raise OutsideVolumes(f"{self._roots[root]}: {error}") from error  # not visible from here after all
+            raise OutsideVolumes(f"{'/'.join(seen)}: {error}") from error  # not visible from here after all
+        if self._link() is not None:
+            raise OutsideVolumes(f"{'/'.join(seen)} is a link now")
         for below in here[len(root) :].split("/"):
             if below:
                 self._step(below)

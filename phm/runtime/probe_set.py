@@ -78,6 +78,8 @@ class ProbeSet:
     matcher: PatternMatcher
     programs: Programs
     logs: Logs
+    devices: Devices
+    host: Host
     received: Links
     agents: SwarmMonitor
     world: World
@@ -158,6 +160,9 @@ class ProbeSet:
             ("matcher", self.matcher.close),
             ("programs", self.programs.close),
             ("logs", self.logs.close),
+            ("devices", self.devices.close),
+            ("host", self.host.close),
+            ("received", self.received.close),
             ("engine", self.engine.close),
         ]
         if self.watch is not None:
@@ -234,12 +239,13 @@ def build_probes(
     logs = Logs(engine, docker.container, clock, matcher)
     programs = Programs(engine, docker.container, clock)
     sockets = Sockets(clock, matcher)
+    host = Host(settings.host, clock)
     world = World(
         clock=clock,
         docker=docker,
         files=Files(docker, engine, settings.docker, clock, file_watcher, lambda: wake("file")),
         devices=devices,
-        host=Host(settings.host, clock),
+        host=host,
         ros=probe,
         links=links,
         swarm=swarm,
@@ -268,6 +274,8 @@ def build_probes(
         matcher,
         programs,
         logs,
+        devices,
+        host,
         links,
         swarm,
         world,

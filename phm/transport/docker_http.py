@@ -13,6 +13,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 from urllib.parse import urlsplit
@@ -34,6 +35,7 @@ MAX_ANSWER_BYTES = 16 << 20
 """Maximum size of a response held in memory; a list of 1000 containers is about 2 MB."""
 MAX_LINE_BYTES = 1 << 20
 _CHUNK = 64 << 10
+_LEAST_S = 0.01
 SSH = ("ssh", "-T", "-o", "BatchMode=yes", "-o", "ConnectTimeout=10", "-o", "ServerAliveInterval=5")
 """A password cannot be asked for; a connection that is silent for 15 s ends."""
 _SSH_NAME = re.compile(r"[A-Za-z0-9_.:][A-Za-z0-9_.:-]*")
@@ -109,18 +111,30 @@ class _TcpConnection(urllib3.connection.HTTPConnection):
     resolver: Resolver
 
     def connect(self) -> None:
-        limit_s = _seconds(self.timeout)
+        limit_s, call = _seconds(self.timeout), current_call()
+        end_s = None if limit_s is None else time.monotonic() + limit_s
         try:
-            self.resolver.ask().wait(limit_s)
-            family, address = self.resolver.answer()
+            looked_up = self.resolver.ask()
+            if not self.resolver.newest():  # else a name server that hangs would delay each call
+                looked_up.wait(limit_s)
+            addresses = self.resolver.answers()
         except OSError as error:
-            call = current_call()
             if call is not None:
                 call.failure = error
             raise
-        sock = _Socket(family, socket.SOCK_STREAM)
-        sock.settimeout(limit_s)
-        self.sock = _open(sock, address)
+        for untried, (family, address) in zip(range(len(addresses), 0, -1), addresses, strict=True):
+            try:
+                sock = _Socket(family, socket.SOCK_STREAM)
+                # An address that does not answer leaves time for the others.
+                sock.settimeout(None if end_s is None else max(_LEAST_S, (end_s - time.monotonic()) / untried))
+                self.sock = _open(sock, address)
+                break
+            except OSError:
+                if untried == 1 or (call is not None and call.expired):
+                    raise
+        if call is not None:
+            call.failure = None
+        self.sock.settimeout(limit_s)
 
 
 class SshConnection(urllib3.connection.HTTPConnection):

@@ -231,7 +231,7 @@ class Endpoint:
                 raise
             if taken:
                 self.codec.counters.sent += 1
-                self.codec.counters.bytes_out += len(frame)
+                self.codec.counters.bytes_out += taken * len(frame)
                 self._sent(item.message, frame)
                 self._set_state(is_open=True)
 

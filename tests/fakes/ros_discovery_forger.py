@@ -4,8 +4,9 @@ python tests/fakes/ros_discovery_forger.py COUNT [BAD [STALE]]
 
 Its own node is `/elsewhere/forger`, which has an endpoint. Its participant claims COUNT nodes in `/x`, and with BAD one
 whose name is not UTF-8: `node`, or `topic`, which gives that name to the publisher of /agent_1/topic_1 too;
-with `name` a topic has such a name instead. With STALE, a participant that does not exist claims one node of this full
-name instead, as in the last announcement of a node that is processed after its end.
+with `name` a topic has such a name instead, with `refused` one that ROS does not allow. With STALE, a participant that
+does not exist claims one node of this full name instead, as in the last announcement of a node that is processed after
+its end.
 
 rclpy does not support this topic, which has no `rt/` prefix: it is accessed through rmw's C functions.
 """
@@ -25,6 +26,7 @@ from std_msgs.msg import String
 
 TOPIC = b"ros_discovery_info"
 PLACEHOLDER, NO_UTF8 = "no_utf_8_at_all", b"no_\xff\xfe_utf_at_all"
+BAD_TOPICS = {"name": b"rt/" + NO_UTF8, "refused": b"rt/arm-state"}
 
 
 class _Time(ctypes.Structure):
@@ -126,8 +128,8 @@ def main(count: str, bad: str = "", stale: str = "") -> int:
     writer = next(gid_of(info) for info in infos if info.node_name == "forger")
     participant = Gid(data=[*writer.data[:12], 0, 0, 1, 0xC1, *[0] * (len(writer.data) - 16)])
     nodes = [NodeEntitiesInfo(node_namespace="/x", node_name=f"{'n' * 200}_{i}") for i in range(int(count))]
-    if bad == "name":
-        forged_publisher(node, b"rt/" + NO_UTF8)
+    if bad in BAD_TOPICS:
+        forged_publisher(node, BAD_TOPICS[bad])
     elif bad:
         nodes.append(
             NodeEntitiesInfo(

@@ -151,6 +151,20 @@ def test_a_hung_call_costs_one_thread_and_is_rejected_until_it_returns() -> None
     assert until(answered, "the worker to be free") == 1
 
 
+def test_a_closed_worker_ends_when_its_call_returns() -> None:
+    """A reload must not wait for a dead mount, nor leave a thread behind after it."""
+    worker, release = BlockingCallWorker("test-closed"), threading.Event()
+    with pytest.raises(CannotTell, match="did not answer"):
+        worker.call(lambda: release.wait(120), 0.01)
+    (thread,) = (thread for thread in threading.enumerate() if thread.name == "phm-test-closed")
+    worker.close()
+    assert thread.is_alive()
+    release.set()
+    until(lambda: not thread.is_alive(), "the end of the thread")
+    with pytest.raises(CannotTell, match="stopping"):
+        worker.call(lambda: 1, 60.0)
+
+
 def test_an_exception_is_raised_in_the_caller() -> None:
     """And the worker keeps working."""
     worker = BlockingCallWorker("test-error")

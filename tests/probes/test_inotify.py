@@ -12,8 +12,8 @@ import pytest
 
 from phm.core.clock import SystemClock
 from phm.probes.devices import Devices
-from phm.probes.inotify import FileWatcher, Watch
-from phm.testing import settings
+from phm.probes.inotify import MOST_NAMES, UNUSED_S, FileWatcher, Watch
+from phm.testing import FakeClock, settings
 from tests.fakes.until import until
 
 LIMIT_S = 60.0
@@ -163,6 +163,25 @@ def test_a_listener_that_raises_does_not_end_the_watcher(watcher: FileWatcher, t
     assert listener.called()
     (tmp_path / "file").unlink()
     assert listener.called()
+
+
+def test_names_that_an_application_invents_displace_no_configured_name(tmp_path: Path) -> None:
+    """By links that it changes all the time. Names that are looked at no more make room for new ones."""
+    clock, folder = FakeClock(), str(tmp_path)
+    watcher = FileWatcher(clock)
+    watch = watcher.on(lambda: None)
+    try:
+        assert watch(folder, "configured")
+        for number in range(2 * MOST_NAMES):
+            assert watch(folder, f"invented_{number}") is (number < MOST_NAMES - 1)
+        clock.advance(UNUSED_S)
+        for number in range(2 * MOST_NAMES):
+            assert not watch(folder, "configured"), "it is watched as before"
+            assert watch(folder, f"later_{number}") is (number < MOST_NAMES - 1)
+        (directory,) = watcher._directories.values()
+        assert len(directory.wanted) == MOST_NAMES
+    finally:
+        watcher.close()
 
 
 def test_a_device_behind_a_symlink_is_followed_through_all_steps(watcher: FileWatcher, tmp_path: Path) -> None:

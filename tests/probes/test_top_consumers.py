@@ -9,8 +9,8 @@ import pytest
 
 from phm import testing
 from phm.facts import CannotTell, ConsumerFact
-from phm.probes.top_consumers import LEAST_S, MOST_S, TopConsumers
-from phm.transport.docker import EngineRefused
+from phm.probes.top_consumers import AGAIN_S, BUDGET_S, LEAST_S, MOST_S, TopConsumers
+from phm.transport.docker import EngineRefused, EngineTimeout
 from tests.probes.test_pressure import ID, OTHER, Bench, CountingEngine, v1, v2, write
 
 
@@ -87,6 +87,39 @@ def test_a_container_without_a_name_of_the_engine_keeps_its_id(tmp_path: Path) -
     containers.clock.advance(1.0)
     containers.after(0.0, 1.0, 1.0)
     assert containers.consumers.read() == (ConsumerFact(f"container {OTHER[:12]}", 1.0),)
+
+
+def test_an_engine_that_hangs_costs_one_request(tmp_path: Path) -> None:
+    """Also with many new containers: the checks of an overload wait for this. The names come when the engine answers."""
+    containers = TwoContainers(tmp_path)
+    clock, ids = containers.clock, [f"{number:064x}" for number in range(1, 17)]
+    asked = 0
+
+    def hangs(*, deadline_s: float, **_: Any) -> Any:
+        nonlocal asked
+        asked += 1
+        clock.advance(deadline_s)
+        raise EngineTimeout("no answer")
+
+    answers, containers.engine.list = containers.engine.list, hangs  # type: ignore[method-assign]
+    containers.engine.names = [{"Id": each, "Names": [f"/c{each[-2:]}"]} for each in ids]
+
+    def read(used_s: float) -> list[str]:
+        for each in ids:
+            write(containers.root / "docker" / each, {"cpu.stat": f"usage_usec {round(used_s * 1e6)}\n"})
+        began_s = clock.mono()
+        found = containers.consumers.read()
+        assert clock.mono() - began_s <= BUDGET_S
+        clock.advance(LEAST_S)
+        return [fact.name for fact in found]
+
+    read(0.0)
+    for used_s in (1.0, 2.0, 3.0):
+        assert read(used_s)[0].startswith("container 0000")
+    assert asked == 1
+    clock.advance(AGAIN_S)
+    containers.engine.list = answers  # type: ignore[method-assign]
+    assert sorted(read(9.0)) == [f"c{each[-2:]}" for each in ids]
 
 
 def test_without_cgroups_the_engine_provides_the_consumers(tmp_path: Path) -> None:

@@ -380,6 +380,23 @@ def test_a_copied_identity_does_not_keep_a_dead_node_alive() -> None:
     assert registered(book, 3.0).beacons[A].age_s == 2.0
 
 
+def test_copied_messages_cost_one_look_at_the_graph_per_poll() -> None:
+    """Anyone can send 250 of them in a poll."""
+    looks = 0
+
+    def listed() -> dict[bytes, str]:
+        nonlocal looks
+        looks += 1
+        return {ONE: A}
+
+    book = BeaconRegistry(frozenset({A}), listed)
+    for poll in range(1, 3):
+        for writer in (ONE, *[TWO] * 250):
+            book.add(BEACON_FORMAT, text(), 1.0 * poll, writer)
+        book.changes(1.0 * poll)
+        assert looks == poll
+
+
 def test_a_copied_identity_adds_no_nodes_to_a_process() -> None:
     """The message is rejected entirely."""
     book = BeaconRegistry(frozenset({A, B}), listing(ONE, TWO))

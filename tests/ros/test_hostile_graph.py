@@ -79,6 +79,17 @@ def test_a_name_that_is_not_utf_8_is_reported_and_hides_nothing(bench: Bench, ba
 
 
 @pytest.mark.one_distribution
+def test_a_topic_name_that_ros_does_not_allow_is_reported_and_hides_nothing(bench: Bench) -> None:
+    """A plain DDS participant can announce `rt/arm-state`; rclpy refuses each question about it."""
+    bench.node("node_1", "--publish", "topic_1:10", "--publish", "topic_2:10")
+    probe = observing(bench)
+    bench.script("ros_discovery_forger.py", "1", "refused")
+    until(lambda: any("/arm-state" in problem for problem in probe.problems()), "the report")
+    seen(probe, lambda fact: "/agent_1/topic_2" in fact.others and measured(fact), "the other topic, and the rate")
+    assert probe.restarts == 0
+
+
+@pytest.mark.one_distribution
 def test_an_oversized_message_invalidates_the_snapshot(bench: Bench) -> None:
     """Nothing is known until the next snapshot, the reason is given, and PHM reports it as its own problem."""
     probe = bench.probe(command=fake("blind"), limits=replace(FAST, start_s=60.0, silent_s=10.0))

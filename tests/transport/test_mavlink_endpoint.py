@@ -338,6 +338,24 @@ def test_udp_answers_only_peers_that_send_mavlink(make_hub: MakeHub, monkeypatch
         assert reached == {*range(2, 9), *range(11, 19), 20}
 
 
+def test_a_frame_to_two_peers_counts_twice(make_hub: MakeHub) -> None:
+    """The bytes of an endpoint are what its network carries."""
+    port = free_port(socket.SOCK_DGRAM)
+    hub = make_hub(f"udpin:127.0.0.1:{port}")
+    until(hub.links)
+    with contextlib.ExitStack() as stack:
+        peers = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2)]
+        for peer in peers:
+            peer.settimeout(60.0)
+            peer.sendto(Sender(255, 190).frame(heartbeat()), ("127.0.0.1", port))
+        until(lambda: len(hub.received) == 2)  # type: ignore[attr-defined]
+        hub.send(text("hello"))
+        size = sum(len(peer.recv(300)) for peer in peers)
+        (counters,) = hub.counters().values()
+        until(lambda: counters.bytes_out)
+        assert (counters.sent, counters.bytes_out) == (1, size)
+
+
 def _read(sock: socket.socket) -> bytes:
     try:
         return sock.recv(300)

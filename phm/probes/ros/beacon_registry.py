@@ -6,6 +6,7 @@ identity of another process, nor use up the space reserved for the configured no
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 
@@ -119,7 +120,7 @@ class BeaconRegistry:
     """The beacons that the child has received. No I/O and no clock: callers pass times, in monotonic seconds.
 
     nodes: the configured nodes, which are never dropped for lack of space. listed: returns the writers that discovery lists
-    now, with the names of their nodes; None if unknown.
+    now, with the names of their nodes; None if unknown. Called at most once between two calls of `changes`.
 
     Invariant: a process (`witness`) is bound to the writer that used its name first, until that writer is silent and has
     left the graph.
@@ -127,7 +128,7 @@ class BeaconRegistry:
 
     def __init__(self, nodes: frozenset[str], listed: Callable[[], Mapping[bytes, str] | None] = lambda: None) -> None:
         self._nodes = nodes
-        self._listed = listed
+        self._listed = functools.cache(listed)  # a call costs up to 2 ms, and anyone can cause one with each message
         self._writers: dict[str, bytes] = {}
         """The writer of each beacon, by its witness."""
         self._beacons: dict[str, _NodeBeacon] = {}
@@ -177,6 +178,7 @@ class BeaconRegistry:
             self._writers = {name: writer for name, writer in self._writers.items() if name in witnesses}
         more_refused = self.refused != self._reported_refused
         self._changed, self._received, self._reported_refused = set(), set(), self.refused
+        self._listed.cache_clear()
         if not (changes or ages or more_refused):
             return None
         return SelfReportUpdate(beacons=changes, ages=ages, refused=self.refused)

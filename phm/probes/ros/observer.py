@@ -23,6 +23,7 @@ from phm.probes.ros.graph_events import GraphEvents
 from phm.probes.ros.graph_snapshot import findings, flow
 from phm.probes.ros.protocol import GraphMessage, Message, OtherTopics, Publish, Tick, Wanted
 from phm.probes.ros.rates.topic_monitor import TopicMonitor
+from phm.probes.ros.raw_names import printable
 from phm.probes.ros.readiness import ReadinessReader
 from phm.probes.ros.self_reports import ConfiguredNames
 from phm.probes.ros.unconfigured_topics import UnconfiguredTopics
@@ -74,8 +75,7 @@ class Observer:
             *self._diagnostics.poll(),
             *self._readiness.poll(time.monotonic(), graph_changed=isinstance(message, GraphMessage)),
         ]
-        others: list[Message] = [OtherTopics(self._names.names)] if self._names.observe(time.monotonic()) else []
-        return [*reports, *others, message]
+        return [*reports, *self._others(), message]
 
     @property
     def lacking(self) -> bool:
@@ -96,6 +96,14 @@ class Observer:
     def execute(self, order: Publish) -> None:
         """Execute an order of the daemon."""
         self._diagnostics.publish(order)
+
+    def _others(self) -> list[Message]:
+        """The unconfigured topics after a change. They only help to find misspelt names: rates and beacons must continue."""
+        try:
+            return [OtherTopics(self._names.names)] if self._names.observe(time.monotonic()) else []
+        except Exception as error:  # whatever rclpy and rcl raise
+            self._names.problem = printable(f"the names of other topics cannot be read: {error}")
+            return []
 
     def _graph_message(self, *, notified: bool, late_s: float) -> GraphMessage | Tick:
         """A GraphMessage after a change or when one is due, else a Tick."""

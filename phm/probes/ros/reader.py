@@ -50,7 +50,7 @@ class Reader:
         self._node = node
         try:
             publishers = node.get_publishers_info_by_topic(topic)
-        except UnicodeDecodeError:  # a name from an unknown participant
+        except Exception:  # rclpy and pybind: another participant may announce anything
             publishers = ()
         message = load_type(type_name, publishers)
         try:

@@ -11,7 +11,7 @@ from typing import Any
 
 from phm.facts.ros import CONSENSUS, NameFact
 from phm.probes.ros.graph import NOT_UTF8, endpoints
-from phm.probes.ros.raw_names import undecodable
+from phm.probes.ros.raw_names import printable, undecodable
 
 POLL_S = 2.0
 MAX_TOPICS = 200
@@ -25,6 +25,7 @@ MAX_READS = 50
 """Topics whose endpoints are read per poll; the others follow in the next one."""
 CLOCK = "/clock"
 """Always kept: it shows that time is simulated, so a check that misses it takes correct stamps for wrong ones."""
+REFUSED = "a participant of the ROS domain has a topic whose name ROS does not allow, so PHM leaves it out: {}"
 _UNREAD = (-1, -1)
 _EVERYWHERE = ("/parameter_events", "/rosout", "/phm/beacon", "/phm/hello", CONSENSUS)
 
@@ -47,12 +48,12 @@ class UnconfiguredTopics:
         if now_s < self._next_s:
             return False
         self._next_s = now_s + POLL_S
+        self.problem = ""
         try:
             counts = self._read_counts()
         except UnicodeDecodeError as error:
             self.problem = NOT_UTF8.format(undecodable(error))
             return False
-        self.problem = ""
         changed = [name for name, count in counts.items() if count != self._counts.get(name)]
         changed.sort(key=lambda name: name in self._facts)  # new topics first
         for name in changed[MAX_READS:]:
@@ -73,10 +74,14 @@ class UnconfiguredTopics:
     def _read_counts(self) -> dict[str, tuple[int, int]]:
         node = self._node
         found = [name for name, _ in node.get_topic_names_and_types() if self._is_other(name)]
-        names = sorted(found, key=lambda name: (name != CLOCK, name))[:MAX_COUNTED]
-        counts = {name: (node.count_publishers(name), node.count_subscribers(name)) for name in names}
+        counts = {}
+        for name in sorted(found, key=lambda name: (name != CLOCK, name))[:MAX_COUNTED]:
+            try:
+                counts[name] = node.count_publishers(name), node.count_subscribers(name)
+            except Exception:  # rclpy and pybind: a participant without ROS can announce any name, e.g. `rt/arm-state`
+                self.problem = REFUSED.format(printable(name))
         # After it, topics used on one side only come first, those with subscribers before others: keep these if there are too many.
-        names.sort(key=lambda name: (name != CLOCK, counts[name][0] > 0, counts[name][1] > 0, name))
+        names = sorted(counts, key=lambda name: (name != CLOCK, counts[name][0] > 0, counts[name][1] > 0, name))
         return {name: counts[name] for name in names[:MAX_TOPICS]}
 
     def _is_other(self, name: str) -> bool:

@@ -17,7 +17,7 @@ from phm.probes import file_tree
 from phm.probes.docker_facts import container_fact
 from phm.probes.files import MAX_BYTES, Files
 from phm.probes.inotify import FileWatcher
-from phm.probes.volume_path import OutsideVolumes, resolve
+from phm.probes.volume_path import OutsideVolumes, SeenAt, resolve
 from phm.testing import FakeClock, FakeDocker, container as fact, settings
 from phm.transport.docker import DockerEngine
 from tests.fakes.engine import FakeEngine, container
@@ -225,7 +225,7 @@ def test_a_mount_below_a_volume_that_phm_does_not_see_hides_its_files(mounted: M
     (mounted.here / "cache").mkdir()
     (mounted.here / "cache" / "old").write_bytes(b"")
     with pytest.raises(OutsideVolumes):
-        resolve("/data/cache/old", {"/data": str(mounted.here), "/data/cache": ""})
+        resolve("/data/cache/old", {"/data": SeenAt(str(mounted.here)), "/data/cache": None})
 
 
 def test_phm_in_a_container_uses_its_own_mounts(tmp_path: Path, fake: FakeEngine, ask: DockerEngine) -> None:
@@ -259,6 +259,26 @@ def test_phm_in_a_container_uses_its_own_mounts(tmp_path: Path, fake: FakeEngine
         assert seen is not None
         sizes[path] = (seen.size, seen.seen_through)
     assert sizes == {"/models/a": (1, "volume"), "/maps/b": (2, "volume"), "/other/c": (3, "engine")}
+
+
+@pytest.mark.parametrize("at", ["/srv/swarm/ws/data", "/srv/swarm/ws/data/maps"])
+def test_a_link_in_the_place_of_a_mounts_source_never_leads_to_phms_own_files(
+    tmp_path: Path, fake: FakeEngine, ask: DockerEngine, at: str
+) -> None:
+    """A program that writes to a folder that PHM sees controls what is at the source of other mounts below it."""
+    host, private = tmp_path / "host", tmp_path / "private"
+    (host / "ws").mkdir(parents=True)
+    (private / "maps").mkdir(parents=True)
+    for folder in (private, private / "maps"):
+        (folder / "secret").write_bytes(b"of PHM")
+    (host / "ws" / "data").symlink_to(private)
+    app = fact("app", id="c1", mounts=(Mount(kind="bind", source=at, destination="/data"),))
+    me = fact("phm", mounts=(Mount(kind="bind", source="/srv/swarm", destination=str(host)),))
+    fake.containers["app"] = container("app", container_id="c1", files={"/data/secret": b"of the container"})
+    files = Files(FakeDocker(app, me=me), ask, settings().docker, FakeClock())
+    seen = files.inspect("app", "/data/secret", digest=True)
+    assert seen is not None
+    assert (seen.seen_through, seen.sha256) == ("engine", hashlib.sha256(b"of the container").hexdigest())
 
 
 def test_a_remote_engine_has_other_paths(tmp_path: Path, fake: FakeEngine, ask: DockerEngine) -> None:

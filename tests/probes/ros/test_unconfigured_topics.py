@@ -53,3 +53,22 @@ def test_the_clock_is_kept_whatever_else_there_is(number: int, node: str, monkey
         topics.observe(2 * POLL_S * poll)
     assert topics.names[CLOCK] == NameFact(("/simulator",), tuple(f"/{reader}" for reader in readers))
     assert len(topics.names) <= min(number + 1, MAX_TOPICS)
+
+
+class Strict(Domain):
+    """Raises for a name that ROS does not allow, as rclpy does."""
+
+    def count_publishers(self, topic: str) -> int:
+        if "-" in topic:
+            raise ValueError("Invalid topic name")
+        return super().count_publishers(topic)
+
+
+def test_a_name_that_ros_does_not_allow_hides_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A plain DDS participant can announce `rt/arm-state`, or worse. It is reported as long as it is there."""
+    monkeypatch.setattr(graph, "quality_matters", lambda: False)
+    topics = UnconfiguredTopics(Strict({"/a": (["n"], []), "/arm-state\n": (["n"], []), "/z": (["n"], [])}), ())
+    for poll in range(2):
+        topics.observe(2 * POLL_S * poll)
+        assert topics.problem.endswith(r"/arm-state\n")
+    assert list(topics.names) == ["/a", "/z"]
