@@ -22,7 +22,7 @@ class Injection(Fault):
     small relay of ours passes everything on, or does not.
     """
 
-    name, title, unit = "engine_restarted", f"Docker Engine away for {AWAY_S:g} s", "engine"
+    name, title, unit = "engine_restarted", "Docker Engine away", "engine"
     condition = "engine_down"
     layer = "companion"
     cause = "the Docker Engine was updated, crashed, or has no room left on its disk"
