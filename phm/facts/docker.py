@@ -81,6 +81,8 @@ class ContainerFact:
     """created, running, paused, restarting, removing, exited or dead."""
     started_at: str
     """The engine's timestamp; together with `id` it identifies one run of the container."""
+    created_at: float | None = None
+    """UTC by the engine's clock, which may be set meanwhile; None: unknown. See `phm.core.clock.Clock.latest`."""
     exit_code: int = 0
     oom_killed: bool = False
     error: str = ""

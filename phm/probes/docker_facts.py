@@ -6,7 +6,7 @@ import os
 import re
 import signal
 from collections.abc import Mapping, Sequence
-from datetime import datetime
+from datetime import datetime, timezone
 from typing import Any
 
 from phm.core.clock import Clock
@@ -128,6 +128,7 @@ def container_fact(answer: Mapping[str, Any]) -> ContainerFact:
         id=_text(answer.get("Id")),
         status=_text(state.get("Status")),
         started_at=_text(state.get("StartedAt")),
+        created_at=_utc(answer.get("Created")),
         exit_code=_number(state.get("ExitCode")),
         oom_killed=bool(state.get("OOMKilled")),
         error=_text(state.get("Error")),
@@ -289,6 +290,12 @@ def _moment(value: Any) -> datetime | None:
     except ValueError:
         return None
     return seconds.replace(microsecond=int((found[2] or "0")[:6].ljust(6, "0")))
+
+
+def _utc(value: Any) -> float | None:
+    """The same in seconds since the epoch; None: not in UTC."""
+    moment = _moment(value) if _text(value).endswith("Z") else None
+    return moment.replace(tzinfo=timezone.utc).timestamp() if moment is not None else None
 
 
 def _part(answer: Mapping[str, Any], key: str) -> Mapping[str, Any]:
