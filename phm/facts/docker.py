@@ -93,6 +93,10 @@ class ContainerFact:
     health_output: str = ""
     failed_probes: tuple[FailedProbe, ...] = ()
     """Those since the last one that passed, oldest first; the engine keeps five."""
+    passed_probes_s: tuple[float, ...] = ()
+    """How long the runs in the engine's log took that passed, by its time stamps."""
+    probe_ended: str = ""
+    """The engine's time stamp of the end of the newest run, only to compare it; empty: there is none."""
     healthcheck: HealthcheckFact | None = None
     """None: the container has no HEALTHCHECK."""
     restart_count: int = 0

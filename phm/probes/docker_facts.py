@@ -137,6 +137,8 @@ def container_fact(answer: Mapping[str, Any]) -> ContainerFact:
         health_streak=_number(health.get("FailingStreak")),
         health_output=_output(health),
         failed_probes=_failed_probes(health),
+        passed_probes_s=_passed_probes_s(health),
+        probe_ended=_probe_ended(health),
         healthcheck=_healthcheck(_part(_part(answer, "Config"), "Healthcheck")),
         restart_count=_number(answer.get("RestartCount")),
         restart_policy=_text(_part(host, "RestartPolicy").get("Name")) or "no",
@@ -274,10 +276,23 @@ def _failed_probes(health: Mapping[str, Any]) -> tuple[FailedProbe, ...]:
     for entry in reversed(_several(health, "Log")):
         if _number(entry.get("ExitCode")) == 0:
             break
-        begun, ended = _moment(entry.get("Start")), _moment(entry.get("End"))
-        took_s = None if begun is None or ended is None else max(0.0, (ended - begun).total_seconds())
-        found.append(FailedProbe(_number(entry.get("ExitCode")), took_s))
+        found.append(FailedProbe(_number(entry.get("ExitCode")), _took_s(entry)))
     return tuple(reversed(found))
+
+
+def _passed_probes_s(health: Mapping[str, Any]) -> tuple[float, ...]:
+    passed = (_took_s(entry) for entry in _several(health, "Log") if _number(entry.get("ExitCode")) == 0)
+    return tuple(took_s for took_s in passed if took_s is not None)
+
+
+def _probe_ended(health: Mapping[str, Any]) -> str:
+    log = _several(health, "Log")
+    return _text(log[-1].get("End")) if log else ""
+
+
+def _took_s(entry: Mapping[str, Any]) -> float | None:
+    begun, ended = _moment(entry.get("Start")), _moment(entry.get("End"))
+    return None if begun is None or ended is None else max(0.0, (ended - begun).total_seconds())
 
 
 def _moment(value: Any) -> datetime | None:

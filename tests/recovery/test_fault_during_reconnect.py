@@ -62,9 +62,7 @@ def agents() -> Iterator[list[Lost]]:
 
 
 @pytest.mark.parametrize("restarts", [True, False])
-def test_the_node_is_reported_during_the_reconnection_and_restarted_once(
-    agents: list[Lost], *, restarts: bool
-) -> None:
+def test_the_node_is_reported_during_the_reconnection_and_restarted_once(agents: list[Lost], *, restarts: bool) -> None:
     """By the reconnection, if that restarts the container; else by its own recovery, after the other one."""
     agents.append(agent := Lost(restarts=restarts))
     agent.lose()

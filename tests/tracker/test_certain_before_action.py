@@ -93,7 +93,7 @@ def test_an_earlier_list_does_not_count_once_the_container_is_stopped() -> None:
     assert bench.opened == ["network/app"] and bench.blocked_by("nodes/a") == "network/app"
 
 
-def test_more_time_for_the_action_is_no_new_beginning() -> None:
+def test_more_time_for_the_action_does_not_begin_it_again() -> None:
     """What it has broken by then was not broken before it."""
     bench = Lost()
     broken = bench.now

@@ -139,7 +139,9 @@ def test_failed_probes_since_the_last_that_passed_have_code_and_duration() -> No
             {"ExitCode": 2, "Start": "yesterday", "End": "2026-13-45T00:00:30Z"},
         ],
     }
-    hung, failed, unknown = container_fact(response).failed_probes
+    fact = container_fact(response)
+    assert (fact.passed_probes_s, fact.probe_ended) == ((1.0,), "2026-13-45T00:00:30Z")
+    hung, failed, unknown = fact.failed_probes
     assert (hung.exit_code, hung.took_s) == (-1, 30.0)
     assert (failed.exit_code, failed.took_s) == (1, pytest.approx(0.25, abs=1e-5))
     assert (unknown.exit_code, unknown.took_s) == (2, None)
