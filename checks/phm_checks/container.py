@@ -82,7 +82,9 @@ class Container(PerContainer):
         self._ended_at: float | None = None
         """When its cgroup first showed that it has ended (monotonic seconds), while the engine reports it as running."""
         self._unstarted: tuple[str, float] | None = None
-        """Id of the container that waits for its first start, and since when it has been seen so (monotonic seconds)."""
+        """Id of the container that waits for its first start, and since when it has existed (monotonic seconds)."""
+        self._asked_at = float("-inf")
+        """When the engine was last asked and answered (monotonic seconds)."""
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
@@ -96,6 +98,7 @@ class Container(PerContainer):
         return (api.Unit(self.unit_id, needs=("engine",), target=self.key),)
 
     def run(self, world: api.World) -> api.Result:
+        asked_at = world.clock.mono()
         try:
             fact = world.docker.container(self.key)
         except api.NoResponse as reason:
@@ -107,6 +110,7 @@ class Container(PerContainer):
         generation = fact.generation if fact is not None else ""
         result = result.with_evidence(replace(result.evidence, generation=generation))
         self._before = (fact, result) if fact is not None else None
+        self._asked_at = asked_at
         return result
 
     def _by_cgroup(
@@ -152,7 +156,7 @@ class Container(PerContainer):
         self._restarts.observe(fact, now_s)
         self._trend.observe(fact, now_s)
         values: dict[str, api.Value] = {"restart_count": fact.restart_count}
-        if self._waits_for_start(fact, now_s):
+        if self._waits_for_start(fact, world):
             words = (
                 f"{self.key} was created and has not been started yet; PHM gives its creator {span(UNSTARTED_S)} for that. "
                 f"`docker start {fact.name}` starts it"
@@ -163,13 +167,19 @@ class Container(PerContainer):
             return self._running(fact, {"pid": fact.pid, **values}, more_often=self._trend.rising(now_s))
         return self._stopped(fact, {"exit_code": fact.exit_code, **values})
 
-    def _waits_for_start(self, fact: api.ContainerFact, now_s: float) -> bool:
-        """Whether it was created so lately that who created it may still start it. The engine keeps the error of a start that failed."""
+    def _waits_for_start(self, fact: api.ContainerFact, world: api.World) -> bool:
+        """Whether it was created so lately that who created it may still start it. The engine keeps the error of a start that failed.
+
+        The engine may have been away since, or PHM. Its time stamp is from a clock that may be set or differ, but not from before the
+        last time when there was another container.
+        """
         if fact.status != "created" or fact.error:
             self._unstarted = None
             return False
+        now_s = world.clock.mono()
         if self._unstarted is None or self._unstarted[0] != fact.id:
-            self._unstarted = (fact.id, now_s)
+            known_s = now_s if fact.created_at is None else world.clock.latest(fact.created_at)
+            self._unstarted = (fact.id, min(now_s, max(known_s, self._asked_at)))
         return now_s - self._unstarted[1] < UNSTARTED_S
 
     def _running(self, fact: api.ContainerFact, values: dict[str, api.Value], *, more_often: bool) -> api.Result:

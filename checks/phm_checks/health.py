@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from phm import api
 from phm.api import Slot
+from phm_checks._hanging_probe import HangingProbe, usual_s
 from phm_checks._per_container import PerContainer
 from phm_checks._text import brief, clean, span
 
@@ -23,13 +24,20 @@ OWN_CODES = range(1, 128)
 """Exit codes of a program that ended by itself; above them are signals, e.g. of the kernel for lack of memory."""
 
 
+SETTLE_S = 2.0
+"""A run that hangs is reported after this time: after the entire machine was suspended, the engine starts a run immediately."""
+
+
 class Health(PerContainer):
     """Docker's health state of the container."""
 
     name, slot = "health", Slot.CONTAINER
+    period_s = 5.0
+    """No event signals that a run of the HEALTHCHECK hangs."""
 
     def __init__(self, entry: api.ContainerSettings) -> None:
         super().__init__(entry)
+        self._hanging = HangingProbe()
         self._probed: object = None
         self._polled_at = self._shown_from = float("-inf")
 
@@ -42,12 +50,20 @@ class Health(PerContainer):
         return (api.Unit(self.unit_id, needs=(f"container/{self.key}",), target=self.key),)
 
     def run(self, world: api.World) -> api.Result:
-        fact = world.docker.container(self.key)
+        asked_at = world.clock.mono()
+        try:
+            fact = world.docker.container(self.key)
+        except api.CannotTell:
+            self._hanging.not_described()
+            raise
+        hanging_s = self._hanging.hanging_s(fact, asked_at, world.clock.mono())
         shown_from = self._note_probe(fact, world.clock.mono())
         if fact is None or not fact.running:
             return api.stale(f"health of {self.key} is unknown while it is not running")
         output = clean(fact.health_output)
         values: dict[str, api.Value] = {"health": fact.health, "failing_streak": fact.health_streak}
+        if fact.healthcheck is not None and hanging_s is not None:
+            return self._hangs(fact, fact.healthcheck, hanging_s, values)
         if fact.health == "healthy":
             return api.ok(f"Health check of {self.key} passes", values=values)
         if fact.health == "unhealthy" and fact.health_streak == 0:
@@ -85,6 +101,25 @@ class Health(PerContainer):
             self._probed, self._shown_from = probed, self._polled_at - min(timeout_s, UNDISTURBED_S)
         self._polled_at = now
         return self._shown_from
+
+    def _hangs(
+        self, fact: api.ContainerFact, probe: api.HealthcheckFact, hanging_s: float, values: dict[str, api.Value]
+    ) -> api.Result:
+        """WARN until the engine has decided. The container is healthy until then: what was wrong before is over."""
+        words = (
+            f"health check of {self.key} hangs: no run has ended by itself for {span(hanging_s)}, expected one every "
+            f"{span(probe.interval_s + usual_s(fact))}. Docker ends a run after its timeout of {span(probe.timeout_s)}, and reports "
+            f"{self.key} as unhealthy after {probe.retries} failed runs in a row ({fact.health_streak} so far); "
+            f"`docker top {fact.name}` shows what hangs"
+        )
+        hangs = api.warn(
+            words,
+            brief=brief(self.key, "health check hangs"),
+            condition="healthcheck_hangs",
+            target=self.key,
+            values=values,
+        )
+        return replace(hangs, settle_s=SETTLE_S, evidence=api.Evidence(forecast=True))
 
     def _none(self, values: dict[str, api.Value]) -> api.Result:
         if self.entry.healthcheck != "required":

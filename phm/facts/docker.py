@@ -81,6 +81,8 @@ class ContainerFact:
     """created, running, paused, restarting, removing, exited or dead."""
     started_at: str
     """The engine's timestamp; together with `id` it identifies one run of the container."""
+    created_at: float | None = None
+    """UTC by the engine's clock, which may be set meanwhile; None: unknown. See `phm.core.clock.Clock.latest`."""
     exit_code: int = 0
     oom_killed: bool = False
     error: str = ""
@@ -91,6 +93,10 @@ class ContainerFact:
     health_output: str = ""
     failed_probes: tuple[FailedProbe, ...] = ()
     """Those since the last one that passed, oldest first; the engine keeps five."""
+    passed_probes_s: tuple[float, ...] = ()
+    """How long the runs in the engine's log took that passed, by its time stamps."""
+    probe_ended: str = ""
+    """The engine's time stamp of the end of the newest run, only to compare it; empty: there is none."""
     healthcheck: HealthcheckFact | None = None
     """None: the container has no HEALTHCHECK."""
     restart_count: int = 0

@@ -6,7 +6,7 @@ import os
 import re
 import signal
 from collections.abc import Mapping, Sequence
-from datetime import datetime
+from datetime import datetime, timezone
 from typing import Any
 
 from phm.core.clock import Clock
@@ -128,6 +128,7 @@ def container_fact(answer: Mapping[str, Any]) -> ContainerFact:
         id=_text(answer.get("Id")),
         status=_text(state.get("Status")),
         started_at=_text(state.get("StartedAt")),
+        created_at=_utc(answer.get("Created")),
         exit_code=_number(state.get("ExitCode")),
         oom_killed=bool(state.get("OOMKilled")),
         error=_text(state.get("Error")),
@@ -136,6 +137,8 @@ def container_fact(answer: Mapping[str, Any]) -> ContainerFact:
         health_streak=_number(health.get("FailingStreak")),
         health_output=_output(health),
         failed_probes=_failed_probes(health),
+        passed_probes_s=_passed_probes_s(health),
+        probe_ended=_probe_ended(health),
         healthcheck=_healthcheck(_part(_part(answer, "Config"), "Healthcheck")),
         restart_count=_number(answer.get("RestartCount")),
         restart_policy=_text(_part(host, "RestartPolicy").get("Name")) or "no",
@@ -273,10 +276,23 @@ def _failed_probes(health: Mapping[str, Any]) -> tuple[FailedProbe, ...]:
     for entry in reversed(_several(health, "Log")):
         if _number(entry.get("ExitCode")) == 0:
             break
-        begun, ended = _moment(entry.get("Start")), _moment(entry.get("End"))
-        took_s = None if begun is None or ended is None else max(0.0, (ended - begun).total_seconds())
-        found.append(FailedProbe(_number(entry.get("ExitCode")), took_s))
+        found.append(FailedProbe(_number(entry.get("ExitCode")), _took_s(entry)))
     return tuple(reversed(found))
+
+
+def _passed_probes_s(health: Mapping[str, Any]) -> tuple[float, ...]:
+    passed = (_took_s(entry) for entry in _several(health, "Log") if _number(entry.get("ExitCode")) == 0)
+    return tuple(took_s for took_s in passed if took_s is not None)
+
+
+def _probe_ended(health: Mapping[str, Any]) -> str:
+    log = _several(health, "Log")
+    return _text(log[-1].get("End")) if log else ""
+
+
+def _took_s(entry: Mapping[str, Any]) -> float | None:
+    begun, ended = _moment(entry.get("Start")), _moment(entry.get("End"))
+    return None if begun is None or ended is None else max(0.0, (ended - begun).total_seconds())
 
 
 def _moment(value: Any) -> datetime | None:
@@ -289,6 +305,12 @@ def _moment(value: Any) -> datetime | None:
     except ValueError:
         return None
     return seconds.replace(microsecond=int((found[2] or "0")[:6].ljust(6, "0")))
+
+
+def _utc(value: Any) -> float | None:
+    """The same in seconds since the epoch; None: not in UTC."""
+    moment = _moment(value) if _text(value).endswith("Z") else None
+    return moment.replace(tzinfo=timezone.utc).timestamp() if moment is not None else None
 
 
 def _part(answer: Mapping[str, Any], key: str) -> Mapping[str, Any]:

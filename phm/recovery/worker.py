@@ -184,9 +184,13 @@ class TargetWorker:
 
     def _next(self) -> float | None:
         """Handle the most upstream fault first. Returns the seconds to wait (0: decide again now, None: until woken)."""
-        self._waits_for_start()  # while nothing is decided, too
+        starting = self._waits_for_start()  # while nothing is decided, too
         cases = self._current()
         waits = [GENERATION_S] if self._changes.update(cases) else []
+        if starting:
+            # Only its check can end that, and while a fault is open it has no other reason to run again so soon.
+            self._pipeline.recheck(f"{CONTAINER}{self._name}")
+            waits.append(MISSING_S)
         if self._requests is not None and self._requests.pending:
             waits.append(self._restart_manually(self._requests))
         for case in cases:

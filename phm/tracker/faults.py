@@ -60,9 +60,9 @@ class FaultRecords:
                 _restored(record, fault, "", now)
         return effects
 
-    def open(self, record: UnitRecord, result: Result, now: Stamp, effects: Effects) -> None:
+    def open(self, record: UnitRecord, result: Result, now: Stamp, effects: Effects, by: str = "") -> None:
         """Open a fault, unless recovery has given up on this unit and it has not been OK since. A new condition opens a new fault
-        all the same, once for each condition."""
+        all the same, once for each condition. by: an action in progress on its target that may end it."""
         if record.fault is not None or (record.escalated and result.condition in record.conditions):
             return
         record.escalated, record.given_up = False, None
@@ -75,6 +75,7 @@ class FaultRecords:
             spec.layer,
             result,
             now,
+            by=by,
             consequences=self._consequences(record),
             suspects=self._suspects(record),
             ok_s=max(record.longest_ok_s, _present_ok_s(record, now)),

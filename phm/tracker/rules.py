@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from phm.core.model import ON_HOLD, Evidence, Level, Result
 from phm.tracker import starvation
-from phm.tracker.units import Pending, TrackerView, UnitRecord
+from phm.tracker.units import ActionInProgress, Pending, TrackerView, UnitRecord
 
 UNKNOWN_NEED_S = 12.0
 """How long a bad result waits for a dependency that is STALE: longer than a node that left the graph is unknown while its process runs
@@ -27,6 +27,8 @@ ENGINE, CONTAINER = "engine", "container/"
 DETACHED, RECONNECTS = "disconnected", "reconnect"
 """The condition of a container that is not on its network, known from the Docker Engine if the evidence is conclusive,
 and the action that takes a container off its networks for a moment."""
+LEAVE_RUNNING = frozenset({RECONNECTS, "join_network"})
+"""Actions that end no process of the target, unless `reconnect` restarts it afterwards: then its stop is reported first."""
 GRACE_ENDS_AFTER_OK_S = 2.5
 """Grace ends early once a unit has been OK for this long. Shorter could be a remnant of the previous run (a killed node stays
 listed until its lease ends, 1 s with the profile in config/fastdds.xml)."""
@@ -91,7 +93,8 @@ def action_in_progress(context: RuleContext) -> Decision | None:
     """2. A bad result during a recovery action on the unit's target follows from that action.
 
     The unit is STALE `blocked_by` the fault being recovered; a unit with an open fault stays unchanged. Except that the Docker
-    Engine no longer lists the running container on its network: of the actions only RECONNECTS does that.
+    Engine no longer lists the running container on its network: of the actions only RECONNECTS does that. And except what was certain
+    before one of LEAVE_RUNNING began.
     """
     action = context.view.actions.get(context.record.target)
     if action is None or not context.result.level.bad:
@@ -99,7 +102,7 @@ def action_in_progress(context: RuleContext) -> Decision | None:
     if _detached(context) and action.action != RECONNECTS:
         return None
     if context.record.fault is None and context.record.id != action.owner:
-        return _blocked(context, action.owner)
+        return None if certain_before(context.record, action) else _blocked(context, action.owner)
     return NO_CHANGE
 
 
@@ -253,6 +256,12 @@ def in_grace(record: UnitRecord, now: float) -> bool:
     evidence = record.latest.evidence if record.latest is not None else NO_EVIDENCE
     from_before = min(record.started, evidence.observed) < record.valid_from
     return not known and (from_before or (now < record.grace_until and not evidence.certain))
+
+
+def certain_before(record: UnitRecord, action: ActionInProgress) -> bool:
+    """Whether the unit has been bad with certainty, in this run of its target, since before an action that leaves that running."""
+    since = record.certain_since
+    return action.action in LEAVE_RUNNING and since is not None and record.valid_from <= since < action.begun
 
 
 def _unverified(record: UnitRecord, context: RuleContext) -> bool:

@@ -104,6 +104,9 @@ EXPLAINED: Mapping[str, Explanation] = {
         "not where it reported the failure itself within 1 s, twice",
         WAITING | {"pids_limit"},
     ),
+    "healthcheck_hangs": Explanation(
+        "a run of the health check takes longer, or is started late", WAITING | {"pids_limit"}
+    ),
     "autopilot_silent": replace(
         _UNREAD, evidence=f"{_UNREAD.evidence}; not where its link carries frames of others meanwhile"
     ),

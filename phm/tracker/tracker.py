@@ -9,7 +9,7 @@ from phm.core.dependency_graph import DependencyGraph
 from phm.core.model import Fault, Level, Outcome, Result, Stamp, Transition, UnitState
 from phm.tracker import starvation
 from phm.tracker.faults import ITSELF, TIMEOUT, FaultRecords, as_unobserved
-from phm.tracker.rules import GRACE_ENDS_AFTER_OK_S, as_unknown, decide, in_grace
+from phm.tracker.rules import GRACE_ENDS_AFTER_OK_S, as_unknown, certain_before, decide, in_grace
 from phm.tracker.start_dedup import StartDedup, StartSeen
 from phm.tracker.units import NEVER, ActionInProgress, Effects, TargetHold, TrackedUnit, TrackerView, UnitRecord
 
@@ -183,6 +183,7 @@ class Tracker:
         record.error_since = (started if record.error_since is None else record.error_since) if record.failing else None
         record.bad_in_a_row = record.bad_in_a_row + 1 if result.level.bad else 0
         record.had_doubt = record.had_doubt and result.level is not Level.OK
+        record.note_certain(result, started)
         record.note_end(result)
         record.duration_s = duration_s
         if record.target and result.evidence.generation:
@@ -226,8 +227,11 @@ class Tracker:
         self, target: str, owner: str, action: str, now: Stamp, at_most_s: float, *, proving: bool = False
     ) -> Effects:
         """An action begins on `target`, for the fault of unit `owner`. With `proving`, the owner's OK is held back until
-        `end_action`."""
-        self._actions[target] = ActionInProgress(owner, action, now.mono + at_most_s, proving)
+        `end_action`. Of the action that is in progress already: it gets more time."""
+        before = self._actions.get(target)
+        same = before is not None and (before.owner, before.action) == (owner, action)
+        begun = before.begun if before is not None and same else now.mono
+        self._actions[target] = ActionInProgress(owner, action, begun, now.mono + at_most_s, proving)
         for record in self._units.values():
             # The restart of a dependent is part of the action on the owner's target, which gets the credit.
             part = record.target != target and record.target in self._actions
@@ -256,6 +260,7 @@ class Tracker:
         """The action in progress on `target` found nothing to do: no fault that ends is credited to it."""
         action = self._actions.get(target)
         if action is not None:
+            action.needed = False
             self._clear_credit(target, action)
         return Effects()
 
@@ -492,7 +497,9 @@ class Tracker:
         before = record.fault or record.given_up
         if level is Level.ERROR:
             record.reported = True
-            self._faults.open(record, result, now, effects)
+            action = self._actions.get(record.target)
+            by = action.action if action is not None and action.needed and certain_before(record, action) else ""
+            self._faults.open(record, result, now, effects, by)
             self._withdraw_credit(record)
         if reworded or (level is Level.ERROR and before is not None and _basis(before.result) != _basis(result)):
             record.update_condition(result)

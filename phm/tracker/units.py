@@ -40,13 +40,16 @@ class Effects:
 
 @dataclass(slots=True)
 class ActionInProgress:
-    """A recovery action on a target. `until` (monotonic seconds) ends it even if its thread has died."""
+    """A recovery action on a target. `until` ends it even if its thread has died; both times in monotonic seconds."""
 
     owner: str
     action: str
+    begun: float
     until: float
     proving: bool = False
     """The owner's OK is not published until the action is verified for its dependents, too."""
+    needed: bool = True
+    """It has not found that there is nothing to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +104,8 @@ class UnitRecord:
     bad_in_a_row: int = 0
     error_since: float | None = None
     """Start of the first run of the present series of ERROR results that count."""
+    certain_since: float | None = None
+    """When the first of the present series of certain bad results was observed."""
     pending: Pending | None = None
     had_error: bool = False
     """It has been ERROR, published or not, since it was last OK: its dependents may have been affected."""
@@ -153,6 +158,13 @@ class UnitRecord:
     def target(self) -> str:
         return self.spec.unit.target
 
+    def note_certain(self, result: Result, started: float) -> None:
+        """A run that began at `started` gave this result."""
+        if not (result.level.bad and result.evidence.certain):
+            self.certain_since = None
+        elif self.certain_since is None:
+            self.certain_since = min(started, result.evidence.observed)
+
     def note_end(self, result: Result) -> None:
         """A check states only for a time what ended the failure; while that is verified, no longer perhaps."""
         if result.ends_fault:
@@ -162,7 +174,7 @@ class UnitRecord:
 
     def grant(self, now: float, until: float) -> None:
         """Start grace until then; bad results from before `now` no longer count."""
-        self.pending = self.ok_since = self.error_since = None
+        self.pending = self.ok_since = self.error_since = self.certain_since = None
         self.bad_in_a_row, self.valid_from = 0, now
         self.grace_until = max(self.grace_until, until)
 

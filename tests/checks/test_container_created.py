@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from phm import api, testing
 from phm.recovery.base import ladder_of
 from phm_checks.container import UNSTARTED_S, Container
@@ -54,3 +56,43 @@ def test_each_container_has_its_minute() -> None:
     assert found.after(2.0).condition == "not_started"
     assert found.after(1.0, status="running").level is api.Level.OK
     assert found.after(UNSTARTED_S, status="created", id="third").condition == "not_started"
+
+
+def test_the_minute_begins_when_it_was_created() -> None:
+    """Also beside an outage of the engine, and over a restart of PHM, which keeps what it knows of the clock."""
+    found = Created()
+    found.docker.change("ros_app", status="running", id="before")
+    assert found.after(0.0).level is api.Level.OK
+    created = found.clock.utc() + 5.0
+    found.docker.problems["ros_app"] = api.NoResponse("no answer")
+    with pytest.raises(api.NoResponse):
+        found.after(20.0)
+    found.docker.problems.clear()
+    assert found.after(0.0, status="created", id="new", created_at=created).condition == "not_started"
+    assert found.after(UNSTARTED_S - 16.0).condition == "not_started"
+    restarted = Created()
+    restarted.world, restarted.clock, restarted.docker = found.world, found.clock, found.docker
+    assert restarted.after(0.0).condition == "not_started"
+    assert restarted.after(1.0).condition == found.after(0.0).condition == "created"
+
+
+@pytest.mark.parametrize("step_s", [-7200.0, 7200.0])
+def test_a_clock_that_is_set_does_not_shorten_the_minute(step_s: float) -> None:
+    """A computer without a battery-backed clock gets the time while containers are created."""
+    found = Created(created_at=None)
+    created = found.clock.utc()
+    found.clock.advance(1.0)
+    found.clock.jump_utc(step_s)
+    assert found.after(0.0, created_at=created).condition == "not_started"
+    assert found.after(UNSTARTED_S - 1.5).condition == "not_started"
+
+
+@pytest.mark.parametrize("apart_s", [-7200.0, 7200.0])
+def test_a_clock_of_the_engine_that_differs_does_not_shorten_the_minute(apart_s: float) -> None:
+    """PHM saw a moment ago that this container did not exist."""
+    found = Created()
+    found.docker.change("ros_app", status="running", id="before")
+    found.after(100.0)
+    result = found.after(5.0, status="created", id="new", created_at=found.clock.utc() + apart_s)
+    assert result.condition == "not_started"
+    assert found.after(UNSTARTED_S - 6.0).condition == "not_started"

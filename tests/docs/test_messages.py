@@ -16,6 +16,7 @@ from phm.probes.ros.environment_differences import differences
 from phm_checks.node_ready import NodeReady
 from phm_checks.topics import Topics
 from tests.checks.test_growing_process import KNOWN_S, Bench, leak
+from tests.checks.test_hanging_health_check import Watched
 from tests.docs.blocks import Block, containing
 from tests.docs.story import play
 from tests.fakes.nodes_bench import ONE, TWO
@@ -93,6 +94,11 @@ def unknown_field() -> str:
         return str(caught.value).replace(f"{folder}/", "")
 
 
+def hanging() -> str:
+    """No run of a HEALTHCHECK with an interval of 10 s has ended for 16 s."""
+    return Watched().after(16.0).summary
+
+
 def growing() -> str:
     """A process leaks. The figures of the page are of another leak, and so of no weight here."""
     return Bench(leak(ONE, TWO)).run(KNOWN_S).summary
@@ -104,6 +110,7 @@ EXACT: dict[str, Callable[[], str]] = {
     "ROS_DOMAIN_ID is": other_domain,
     "does not connect all its endpoints": topics,
     "has no field": unknown_field,
+    "health check of ros_app hangs": hanging,
 }
 """By words of the block: what makes its text, up to blanks and the last full stop."""
 FIGURES = {"reaches its memory limit": growing}

@@ -10,7 +10,7 @@ import pytest
 from phm import testing
 from phm.api import Result, stale
 from phm.core.model import FaultOpened
-from phm.recovery.worker import NOT_STARTED_S
+from phm.recovery.worker import MISSING_S, NOT_STARTED_S
 from phm.testing import FakeClock
 from phm_checks.container import UNSTARTED_S, Container
 from tests.recovery.simulated_agent import Agent, Containers, Of
@@ -30,6 +30,8 @@ class Scene:
         (self._check,) = Container.build(testing.settings(containers=[{"name": "app"}]))
         observe = self.agent.observe
         self.agent.observe = lambda: (self._look(), observe())[1]  # type: ignore[method-assign]
+        self.rechecked: list[str] = []
+        self.agent.pipeline.attach(lambda units, reason: self.rechecked.extend(units))
         self.agent.rest(SOON_S)
 
     def _look(self) -> None:
@@ -98,6 +100,22 @@ def test_the_minute_counts_also_where_its_absence_was_a_fault(scene: Scene) -> N
     assert scene.agent.runs == []
     scene.agent.until(lambda: scene.agent.acted() == ["start"], "the start")
     assert scene.found_as() == ["missing"] and scene.agent.opened() == ["container/app"]
+
+
+def test_its_check_runs_often_enough_that_the_start_comes_when_the_minute_is_over(scene: Scene) -> None:
+    """Its period is 5 s, and with a fault open already nothing waits for confirmation: in a campaign the start came after 65 s."""
+    del scene.facts["app"]
+    scene.agent.until(lambda: scene.agent.opened() == ["container/app"], "the alarm")
+    scene.became(status="created", id="new")
+    scene.agent.rest(SOON_S)
+    scene.rechecked.clear()
+    scene.agent.rest(5 * MISSING_S)
+    assert scene.rechecked.count("container/app") in (4, 5)
+    scene.became(id="new")
+    scene.agent.rest(SOON_S)
+    scene.rechecked.clear()
+    scene.agent.rest(5 * MISSING_S)
+    assert "container/app" not in scene.rechecked
 
 
 def broken_before(scene: Scene) -> None:

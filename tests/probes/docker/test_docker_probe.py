@@ -92,7 +92,7 @@ def test_an_incomplete_response_is_still_a_fact() -> None:
     )
     assert (fact.health, fact.restart_policy, fact.networks[0].name) == ("none", "no", "n")
     assert [(mount.kind, mount.destination) for mount in fact.mounts] == [("tmpfs", "/run")]
-    assert fact.memory_limit is None
+    assert fact.memory_limit is fact.created_at is None
 
 
 def test_a_complete_response_is_read_completely() -> None:
@@ -102,6 +102,7 @@ def test_a_complete_response_is_read_completely() -> None:
         networks=["swarm"],
         mounts=[{"Type": "volume", "Name": "v", "Source": "/s", "Destination": "/d", "RW": False}],
     )
+    response["Created"] = "2026-11-24T12:00:00.250000001Z"
     response["State"]["Health"] = {
         "Status": "unhealthy",
         "FailingStreak": 4,
@@ -118,6 +119,7 @@ def test_a_complete_response_is_read_completely() -> None:
     fact = container_fact(response)
     assert (fact.health, fact.health_streak, fact.health_output) == ("unhealthy", 4, "no node")
     assert fact.memory_limit == 67108864
+    assert fact.created_at == 1795521600.25
     assert fact.networks[0].fixed_addresses == ("10.9.0.2", "fd00::2")
     assert (fact.mounts[0].name, fact.mounts[0].writable) == ("v", False)
     assert (fact.devices[0].host_path, fact.devices[0].container_path) == ("/dev/a", "/dev/b")
@@ -137,7 +139,9 @@ def test_failed_probes_since_the_last_that_passed_have_code_and_duration() -> No
             {"ExitCode": 2, "Start": "yesterday", "End": "2026-13-45T00:00:30Z"},
         ],
     }
-    hung, failed, unknown = container_fact(response).failed_probes
+    fact = container_fact(response)
+    assert (fact.passed_probes_s, fact.probe_ended) == ((1.0,), "2026-13-45T00:00:30Z")
+    hung, failed, unknown = fact.failed_probes
     assert (hung.exit_code, hung.took_s) == (-1, 30.0)
     assert (failed.exit_code, failed.took_s) == (1, pytest.approx(0.25, abs=1e-5))
     assert (unknown.exit_code, unknown.took_s) == (2, None)
