@@ -169,6 +169,7 @@ class Result:
     decides_s: for a STALE result that only time can change: it becomes OK or ERROR at most this many seconds after the
                start of its container. The verification of an action waits that long.
     age_s:     age of the evidence if the check could not get newer evidence: Docker runs health checks on its own schedule.
+               Infinity: it may be of any age, because PHM has just started.
     evidence:  what tracker and recovery need to know besides level and condition.
     readings:  measurements of the companion computer, from checks that make them.
     votes:     the consensus about each ROS node, from the check that determines it.
