@@ -445,7 +445,7 @@ def test_only_received_data_end_a_reported_silence(path: DataPath, reported: str
     assert path.later(5.0, 0.1, 9.0).level is api.Level.OK
 
 
-def test_after_a_reload_silence_is_no_observation(path: DataPath) -> None:
+def test_after_a_reload_silence_does_not_end_a_fault(path: DataPath) -> None:
     """A new check does not know that the transport was blocked; a restored fault must not end before data arrive."""
     assert not path.later(20.0, 0.1, 0.2).evidence.unobserved
     made = testing.settings(
