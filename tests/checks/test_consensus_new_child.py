@@ -25,7 +25,7 @@ def test_the_first_picture_of_a_new_child_ends_nothing() -> None:
     assert quorum.after(60, NOT_RECEIVED, up_s=70.0).condition == "quorum_dead"
 
 
-def test_a_node_that_nobody_receives_stays_dead_for_a_new_child() -> None:
+def test_a_node_that_no_one_receives_stays_dead_for_a_new_child() -> None:
     """Until it would be reported again; and an OK of all ends it immediately."""
     quorum = reported()
     beacons = {**NOT_RECEIVED, C: beacon({}, age_s=5.0, witness=C)}
@@ -33,7 +33,7 @@ def test_a_node_that_nobody_receives_stays_dead_for_a_new_child() -> None:
     assert quorum.after(0, matrix(A, B, C), up_s=2.0).level is Level.OK
 
 
-def test_known_beacons_are_awaited_before_all_is_well() -> None:
+def test_known_beacons_are_awaited_before_the_result_is_ok() -> None:
     """Also if nothing was reported."""
     quorum = Quorum()
     assert quorum.after(5, matrix(A, B, C)).level is Level.OK
@@ -42,7 +42,7 @@ def test_known_beacons_are_awaited_before_all_is_well() -> None:
 
 
 def test_without_any_beacon_a_report_is_kept_for_as_long_as_a_beacon() -> None:
-    """Afterwards nothing is evaluated, which is no observation."""
+    """Afterwards nothing is evaluated, so nothing is observed."""
     quorum = reported()
     assert quorum.after(0, {}, up_s=FORGET_S - 1.0).level is Level.STALE
     result = quorum.after(0, {}, up_s=FORGET_S + 1.0)
