@@ -45,6 +45,10 @@ class Consensus(api.Check):
         self._nodes = [f"/{api.topic_id(node.name)}" for node in settings.ros.nodes]
         self._required = [f"/{api.topic_id(node.name)}" for node in settings.ros.nodes if node.beacon == "required"]
         self._open_faults = settings.ros.consensus.open_faults
+        self._known: set[str] = set()
+        """Nodes whose beacon PHM has received."""
+        self._bad = False
+        """Whether the last result that was not STALE was bad."""
         self._dead = DeadNodes(self._nodes)
         self._containers = {node: settings.container_of_node(node) for node in self._nodes}
         subscribed = connections(settings, self._nodes)
@@ -71,6 +75,12 @@ class Consensus(api.Check):
         return frozenset({"ros"})
 
     def run(self, world: api.World) -> api.Result:
+        result = self._run(world)
+        if result.level is not Level.STALE:
+            self._bad = result.level.bad
+        return result
+
+    def _run(self, world: api.World) -> api.Result:
         now = world.clock.mono()
         try:
             fact = world.ros.snapshot()
@@ -97,7 +107,28 @@ class Consensus(api.Check):
         self._received.observe(world, [*received_by_others(agreement), *self._lost.received])
         dead = self._dead.observe(agreement, beacons, now)
         result = None if (dead or lost) and self._open_faults else _copied(fact, beacons)
-        return replace(result or self._judge(agreement, dead, lost, fact, beacons), votes=_votes(agreement))
+        result = result or self._judge(agreement, dead, lost, fact, beacons)
+        if result.level is Level.OK:
+            result = self._not_yet(fact, agreement) or result
+        self._known.update(beacons)
+        return replace(result, votes=_votes(agreement))
+
+    def _not_yet(self, fact: api.RosFact, agreement: Agreement) -> api.Result | None:
+        """STALE while a new ROS child process has not received all beacons that were known before, or what was reported may not
+        have lasted long enough for it to be reported again."""
+        if fact.up_s >= self._grace_s:
+            return None
+        awaited = [name for name in self._nodes if name in self._known and name not in fact.beacons]
+        if awaited:
+            return api.stale(
+                f"no beacon received from {_names(awaited)} yet; PHM has listened for only {span(fact.up_s)}"
+            )
+        dead = [item.node for item in agreement.opinions if item.verdict is Verdict.DEAD]
+        if self._bad and dead:
+            return api.stale(
+                f"{_names(dead)} is not received; PHM has listened for only {span(fact.up_s)}, so it is not known yet"
+            )
+        return None
 
     def _forget(self) -> None:
         """The consensus is unknown."""
@@ -152,7 +183,12 @@ class Consensus(api.Check):
                 condition="beacons_refused",
                 values={"refused": fact.refused},
             )
-        return api.bypass("No beacon received from the configured nodes: PHM is their only observer")
+        if fact.up_s < (FORGET_S if self._bad else self._grace_s):
+            return api.stale(
+                f"no beacon received from the configured nodes yet; PHM has listened for only {span(fact.up_s)}"
+            )
+        words = "No beacon received from the configured nodes: PHM is their only observer"
+        return api.bypass(words).with_evidence(api.Evidence(unobserved=True))
 
     def _judge(
         self,

@@ -8,7 +8,7 @@ from dataclasses import replace
 from phm import api
 from phm.api import Layer, Level, Slot
 from phm_checks._endpoint_matching import full
-from phm_checks._text import StableNumber, brief, clean, joined, last, span
+from phm_checks._text import StableNumber, brief, clean, joined, last, listed, span
 
 SETTLE_S = 2.0
 """Gaps wait this long: if messages are not published at all, their rate shows it meanwhile, and is the cause."""
@@ -18,6 +18,11 @@ ENOUGH = 2
 """A topic is not OK before this many messages were examined."""
 AT_ONCE = 10.0
 """A stamp that differs by more than this many seconds is not one of a publisher that waits for a CPU."""
+_UNDECIDED = {
+    "data_stamp": "its stamps have not been examined for long enough",
+    "data_frozen": "the content has not changed yet",
+    "data_gaps": "too few numbers were examined for gaps",
+}
 CLOCK = "/clock"
 DAY_S = 86_400.0
 
@@ -84,6 +89,8 @@ class Data(api.Check):
             where = self._places[topic.name]
             results.append(api.stale(f"{name}: {where} cannot be examined completely: {clean(found.problem, 400)}"))
         values = _values(found)
+        if not results and found.undecided:
+            return _not_yet(name, data, found, values)
         if not results:
             for key in (name, f"{name} gaps"):
                 self._numbers.forget(key)
@@ -206,6 +213,14 @@ class Data(api.Check):
 
 def _unit(topic: api.TopicSettings) -> str:
     return f"data/{api.topic_id(topic.name)}"
+
+
+def _not_yet(name: str, data: api.DataSettings, found: api.DataFact, values: Mapping[str, api.Value]) -> api.Result:
+    """A new publisher, or a new ROS child process, may repeat what was wrong before: that it is not known yet does not end a
+    fault."""
+    words = listed(_UNDECIDED.get(condition, condition) for condition in found.undecided)
+    frozen_s = data.frozen if "data_frozen" in found.undecided else None
+    return replace(api.stale(f"{name} is not decided yet: {words}", values=values), decides_s=frozen_s)
 
 
 def _simulated(fact: api.RosFact) -> bool:

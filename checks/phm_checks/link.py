@@ -40,6 +40,8 @@ EASE = 0.7
 MOST_SENDERS = 8
 _IN_USE = frozenset((errno.EAGAIN, errno.EBUSY))
 _REFUSED = frozenset((errno.EACCES, errno.EPERM))
+_WORKS = frozenset({"line_errors", "frames_lost"})
+"""Conditions of a link that is open and on which frames are received: no earlier failure lasts."""
 
 
 class Link(api.Check):
@@ -97,7 +99,10 @@ class Link(api.Check):
             return api.ok(f"MAVLink endpoint {clean(link.name, 80)} is open{_traffic(link)}", values=values)
         first = api.worst(findings)
         words = joined([finding.summary for finding in findings])
-        return api.Result(first.level, words, combined(findings), first.condition, first.target, values)
+        evidence = api.Evidence(recovered=self._was <= _WORKS)
+        return api.Result(
+            first.level, words, combined(findings), first.condition, first.target, values, evidence=evidence
+        )
 
     # ------------------------------------------------------------ closed
 

@@ -98,7 +98,8 @@ class Radio(api.Check):
             return api.ok(f"last RADIO_STATUS {span(fact.age_s)} ago{_margin_words(fact)}{alone}", values=values)
         first = findings[0]
         words = joined([finding.summary for finding in findings])
-        return api.warn(words, brief=combined(findings), condition=first.condition, values=values)
+        weak = api.warn(words, brief=combined(findings), condition=first.condition, values=values)
+        return weak.with_evidence(api.Evidence(recovered=True))  # it responds
 
     def _weak(self, fact: api.RadioFact) -> list[api.Result]:
         limit = self._limits.radio_margin + (EASE_MARGIN if "radio_weak" in self._was else 0.0)

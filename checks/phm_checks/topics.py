@@ -61,6 +61,8 @@ class Topics(api.Check):
         self._ends = EndpointHistory()
         self._mismatches: dict[str, api.Result] = {}
         """The last mismatch between existing endpoints per topic: kept while one of them is being recreated."""
+        self._failed: dict[str, str] = {}
+        """The condition of the last result per topic that was not a WARN."""
         self._stray_since: dict[str, float] = {}
         self._gaps = GraphGaps()
         self._audits: dict[str, tuple[object, Sequence[api.Result]]] = {}
@@ -123,9 +125,20 @@ class Topics(api.Check):
                 return api.stale(
                     f"not seen yet, PHM has observed the graph for only {span(fact.up_s)}: {missing.summary}"
                 )
+            self._failed[topic.name] = missing.condition
             before = self._mismatches.get(topic.name)
             return before if before is not None and self._ends.being_recreated(full(topic.name), now) else missing
         self._mismatches.pop(topic.name, None)
+        result = self._connected(topic, seen, fact, now)
+        # Whatever was missing is there; the same condition at a lower level is the same measurement.
+        if result.level is Level.WARN and result.condition != self._failed.get(topic.name):
+            result = result.with_evidence(replace(result.evidence, recovered=True))
+        elif result.level is not Level.WARN:
+            self._failed[topic.name] = result.condition
+        return result
+
+    def _connected(self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact, now: float) -> api.Result:
+        """The result while no endpoint is missing."""
         found = [*self._audit(topic, seen), *self._unfed(topic, seen, fact, now)]
         if found:
             worst = _conclusive(api.worst(found))

@@ -12,7 +12,8 @@ from phm.core.model import Evidence, HostReadings, Level, NodeVotes, Result
 
 _TEXTS = ("summary", "brief", "condition", "target")
 _SECONDS = ("settle_s", "decides_s", "age_s", "rate_hz")
-_REQUIRED = frozenset({"age_s"})
+_AGE = "age_s"
+"""Always a number; infinity: the evidence may be from any time before PHM's first observation."""
 _VALUES = (str, int, float, bool, type(None))
 
 
@@ -32,7 +33,7 @@ def _wrong(answer: Any) -> str:
         if not isinstance(getattr(answer, name), str):
             return f"a Result whose {name} is {_kind(getattr(answer, name))}, not a text"
     for name in _SECONDS:
-        if not _is_number(getattr(answer, name), required=name in _REQUIRED):
+        if not _is_number(getattr(answer, name), age=name == _AGE):
             return f"a Result whose {name} is not a finite number"
     return _wrong_values(answer.values) or _wrong_details(answer)
 
@@ -58,10 +59,12 @@ def _wrong_details(result: Result) -> str:
     return ""
 
 
-def _is_number(number: object, *, required: bool) -> bool:
+def _is_number(number: object, *, age: bool) -> bool:
     if number is None:
-        return not required
-    return isinstance(number, (int, float)) and not isinstance(number, bool) and math.isfinite(number)
+        return not age
+    if isinstance(number, bool) or not isinstance(number, (int, float)):
+        return False
+    return math.isfinite(number) or (age and number == math.inf)
 
 
 def _kind(thing: object) -> str:

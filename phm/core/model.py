@@ -103,6 +103,8 @@ class Evidence:
     falling:      the newest measurement is below the limit; the report only has not ended yet.
     ended_by:     what ended the earlier failure of the unit, as observed, e.g. ``reboot``: no action is credited for it.
     forecast:     the unit works, and this WARN is about what may come: an earlier failure of the unit is over.
+    recovered:    this WARN is about something else, and an earlier failure of the unit is over. Not for a weaker level of the same
+                  measurement.
     unobserved:   PHM has not observed the subject since its start, and this OK does not say that an earlier failure is over.
     subjects:     names of those that this bad result is about, or that this OK covers, where the unit reports on several that are not
                   configured: after a restart of PHM an OK must cover all that had failed before. None: this OK covers all.
@@ -121,6 +123,7 @@ class Evidence:
     falling: bool = False
     ended_by: str = ""
     forecast: bool = False
+    recovered: bool = False
     unobserved: bool = False
     subjects: tuple[str, ...] | None = None
 
@@ -169,6 +172,7 @@ class Result:
     decides_s: for a STALE result that only time can change: it becomes OK or ERROR at most this many seconds after the
                start of its container. The verification of an action waits that long.
     age_s:     age of the evidence if the check could not get newer evidence: Docker runs health checks on its own schedule.
+               Infinity: it may be of any age, because PHM has just started.
     evidence:  what tracker and recovery need to know besides level and condition.
     readings:  measurements of the companion computer, from checks that make them.
     votes:     the consensus about each ROS node, from the check that determines it.
@@ -192,8 +196,8 @@ class Result:
 
     @property
     def ends_fault(self) -> bool:
-        """Whether the earlier failure is over: OK, or a WARN about something else that states what ended it, or a forecast."""
-        known = bool(self.evidence.ended_by) or self.evidence.forecast
+        """Whether the earlier failure is over: OK, or a WARN that states so: what ended it, a forecast, or something else."""
+        known = bool(self.evidence.ended_by) or self.evidence.forecast or self.evidence.recovered
         return self.level is Level.OK or (self.level is Level.WARN and known)
 
     def with_evidence(self, evidence: Evidence) -> Result:

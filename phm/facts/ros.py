@@ -123,6 +123,9 @@ class DataFact:
     outside: tuple[OutsideFact, ...] = ()
     fields: tuple[FieldFact, ...] = ()
     """The fields that checks of type `topic` name."""
+    undecided: tuple[str, ...] = ()
+    """The limits of which too little was examined to say whether they are exceeded, named as in `conditions`. Content that is the
+    same since a publisher was first examined may be as old as before."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -77,7 +77,7 @@ def decide(record: UnitRecord, view: TrackerView, now: float) -> Decision | None
 
 
 def recovered(context: RuleContext) -> Decision | None:
-    """1. OK is published immediately and closes the unit's fault. So is a WARN that states what ended that, and a forecast
+    """1. OK is published immediately and closes the unit's fault. So is a WARN that states that it is over
     (`Result.ends_fault`).
 
     Except while recovery works on its own fault: then it counts once the recovery is verified, dependents included; if that

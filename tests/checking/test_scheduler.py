@@ -102,6 +102,8 @@ def test_a_check_runs_at_start_and_then_every_period(rig: Rig) -> None:
         api.Result(api.Level.ERROR, "bad", settle_s=float("nan")),
         api.Result(api.Level.ERROR, "bad", decides_s=[]),  # type: ignore[arg-type]
         api.Result(api.Level.ERROR, "bad", age_s=None),  # type: ignore[arg-type]
+        api.Result(api.Level.ERROR, "bad", age_s=float("nan")),
+        api.Result(api.Level.ERROR, "bad", age_s=float("-inf")),
         api.Result(api.Level.ERROR, "bad", evidence=None),  # type: ignore[arg-type]
         api.Result(api.Level.ERROR, "bad", readings=1),  # type: ignore[arg-type]
         api.Result(api.Level.ERROR, "bad", votes=None),  # type: ignore[arg-type]

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from phm import api, testing
+from phm.core.model import FaultOpened
+from phm.probes.ros.data.publisher_data import Examined, PublisherData
+from phm.probes.ros.protocol import WantedData
+from phm.recovery.verification import Verification, VerificationResult
+from phm.tracker import TrackedUnit, Tracker, graph_of
 from phm_checks.data import SETTLE_S, Data
+from tests.recovery.test_verification import Silent
 
 NAME = "/agent_1/odom"
 UNIT = "data/agent_1/odom"
@@ -182,3 +189,51 @@ def test_texts_from_outside_are_cleaned() -> None:
     """Values and problems contain received data."""
     result = Bench().see("data_range", outside=(api.OutsideFact("level", "1\n\x1b[31m"),), problem="a\nb")
     assert "\n" not in result.summary and "\x1b" not in result.summary
+
+
+def test_content_that_has_not_changed_yet_does_not_end_a_fault() -> None:
+    """After a restart of the container or of the ROS child process two equal messages are no recovery; waiting decides."""
+    bench, publisher = Bench(frozen="60s"), PublisherData(WantedData(frozen_s=60.0))
+    units = [TrackedUnit(unit, Data.name, Data.slot, Data.layer) for unit in bench.check.units]
+    clock = testing.FakeClock()
+    tracker = Tracker(units, graph_of(units), clock.stamp())
+    opened = 0
+
+    def see(fact: api.DataFact) -> api.Result:
+        nonlocal opened
+        result = bench.evaluate(api.TopicFact((), (), FLOWING, replace(fact, samples=9)))
+        events = [
+            *tracker.observe(UNIT, result, clock.mono(), clock.stamp()).events,
+            *tracker.tick(clock.stamp()).events,
+        ]
+        opened += sum(isinstance(event, FaultOpened) for event in events)
+        clock.advance(1.0)
+        return result
+
+    for _ in range(60):
+        see(api.DataFact())
+    for _ in range(3):
+        see(api.DataFact(("data_frozen",), frozen_s=61.0))
+    for number in range(61):
+        publisher.add(Examined(float(number), number + 1, content=b"same"))
+        result = see(publisher.fact())
+        if number == 1:
+            assert result.level is api.Level.STALE and "the content has not changed yet" in result.summary
+            assert result.decides_s == 60.0
+    assert result.condition == "data_frozen" and opened == 1
+    publisher.add(Examined(61.0, 62, content=b"other"))
+    assert see(publisher.fact()).level is api.Level.OK and not tracker.open_faults()
+
+
+def test_a_restart_that_leaves_the_content_frozen_has_failed() -> None:
+    """So it counts as an attempt, and PHM does not restart the container endlessly."""
+
+    class Frozen(Silent):
+        def newest(self, unit: str, mono: float) -> api.Result:
+            bench = Bench(frozen="60s")
+            early = self.started < 60.0
+            return bench.see(undecided=("data_frozen",)) if early else bench.see("data_frozen", frozen_s=60.0)
+
+    verification = Verification(UNIT, 0.0, 2.0, 30.0, lambda unit: 10.0)
+    assert verification.result(Frozen(59.0), 59.0) is None
+    assert verification.result(Frozen(61.0), 61.0) == VerificationResult(missing=UNIT)

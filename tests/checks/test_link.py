@@ -249,3 +249,10 @@ def test_an_error_other_than_a_refusal_gets_the_usual_time() -> None:
     run(link_check)
     lost = dataclasses.replace(CLOSED, error="the other side closed the connection", code=0, failed=3)
     assert run(link_check, lost).settle_s is None
+
+
+def test_lost_frames_show_that_the_link_is_open() -> None:
+    """A fault of a closed endpoint is over."""
+    senders = (api.SenderFact(1, 1, 0.2, 350, 60.0),)
+    result = run(check(SERIAL, leads_to="autopilot"), changed(senders=senders))
+    assert (result.level, result.condition, result.ends_fault) == (api.Level.WARN, "frames_lost", True)

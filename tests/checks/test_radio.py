@@ -153,3 +153,9 @@ def test_two_radios_have_separate_lines() -> None:
         "",
         "radio r2: no RADIO_STATUS 6 s",
     ]
+
+
+def test_a_weak_signal_shows_that_the_radio_responds() -> None:
+    """A fault of a silent radio is over."""
+    result = run(check(), changed(margin=5.0))
+    assert (result.level, result.condition, result.ends_fault) == (api.Level.WARN, "radio_weak", True)

@@ -431,3 +431,25 @@ def test_received_data_prove_a_publisher_that_is_not_listed() -> None:
     assert judged(api.RateFact(10.0, 0.05)).level is api.Level.STALE
     clock.advance(5.0)
     assert judged(api.RateFact(0.0, 6.0)).level is api.Level.ERROR
+
+
+def test_a_lasting_warning_about_others_shows_that_the_publisher_is_back() -> None:
+    """Else its fault would stay open for as long as a recorder requests what the publisher does not offer."""
+    check = build(publishers=["/agent_1/node_1"])
+    bag, other = endpoint("/rosbag2", STRING, "reliable"), endpoint("/agent_1/node_1", STRING, "best_effort")
+    nodes = {"/agent_1/node_1": 1}
+    assert evaluate(check, api.TopicFact((), (bag,)), nodes=nodes).condition == "publisher_missing"
+    result = evaluate(check, api.TopicFact((other,), (bag,)), nodes=nodes)
+    assert (result.level, result.condition, result.ends_fault) == (api.Level.WARN, "qos_mismatch", True)
+
+
+def test_a_weaker_mismatch_is_not_the_end_of_a_mismatch() -> None:
+    """The same measurement: the fault ends with an OK."""
+    check = build(publishers=["/agent_1/node_1"], subscribers=["/agent_1/node_2"])
+    publisher = endpoint("/agent_1/node_1", STRING, "best_effort")
+    mine, bag = endpoint("/agent_1/node_2", STRING, "reliable"), endpoint("/rosbag2", STRING, "reliable")
+    result = evaluate(check, api.TopicFact((publisher,), (mine, bag)))
+    assert (result.level, result.condition) == (api.Level.ERROR, "qos_mismatch")
+    right = endpoint("/agent_1/node_2", STRING, "best_effort")
+    result = evaluate(check, api.TopicFact((publisher,), (right, bag)))
+    assert (result.level, result.condition, result.ends_fault) == (api.Level.WARN, "qos_mismatch", False)

@@ -48,6 +48,15 @@ def test_a_forecast_closes_the_fault_first() -> None:
     assert bench.level("pilot") is Level.WARN
 
 
+def test_a_warning_about_something_else_closes_the_fault_if_it_says_so() -> None:
+    """A fault stayed open for as long as its unit had a lasting WARN."""
+    bench = failing()
+    recovered = Evidence(recovered=True)
+    bench.see("pilot", warn("lossy", brief="lossy", condition="lossy").with_evidence(recovered))
+    assert bench.closed == [("pilot", Outcome.RESOLVED, "itself")]
+    assert bench.level("pilot") is Level.WARN
+
+
 def test_a_forecast_verifies_an_action() -> None:
     """It has recovered the unit, whatever comes."""
     bench = failing("link")

@@ -131,9 +131,9 @@ def flow(rate: RateFact) -> tuple[float | None, bool, str]:
     return silent_s, rate.changed_s is not None, rate.problem
 
 
-def findings(data: DataFact | None) -> tuple[tuple[str, ...], str]:
+def findings(data: DataFact | None) -> tuple[tuple[str, ...], tuple[str, ...], str]:
     """The properties of examined messages whose change wakes checks."""
-    return ((), "") if data is None else (data.conditions, data.problem)
+    return ((), (), "") if data is None else (data.conditions, data.undecided, data.problem)
 
 
 def _states(readiness: ReadinessUpdate) -> object:

@@ -143,6 +143,7 @@ def worst_of(facts: Sequence[DataFact]) -> DataFact:
         lost_percent=max(losses, default=None),
         outside=tuple({found.field: found for fact in facts for found in fact.outside}.values()),
         fields=_merged([found for fact in facts for found in fact.fields]),
+        undecided=tuple(sorted({name for fact in facts for name in fact.undecided})),
     )
 
 

@@ -53,6 +53,7 @@ class PublisherData:
         self.last: Examined | None = None
         self._first_same: Examined | None = None
         self._repeats = 0
+        self._changed = False
         self._stamps = _Lasting()
         self._wrong_stamp = False
         self._age_s: float | None = None
@@ -62,6 +63,7 @@ class PublisherData:
         self._losses: deque[tuple[float, float]] = deque(maxlen=KEPT)
         """(Share of the numbers that are missing, seconds) of each interval between two messages."""
         self._lossy = False
+        self._intervals = 0
 
     def add(self, message: Examined) -> None:
         """Count one message. A lower sequence number is a restarted publisher, and nothing before counts."""
@@ -91,6 +93,11 @@ class PublisherData:
             "data_range": sum(map(bool, self._outside)) >= TWICE,
             "data_gaps": self._lossy,
         }
+        decided = {
+            "data_stamp": self._stamps.decided,
+            "data_frozen": self._wanted.frozen_s is None or self._frozen or self._changed,
+            "data_gaps": not self._wanted.counter or self._intervals >= LOSSES,
+        }
         return DataFact(
             conditions=tuple(name for name, exceeded in named.items() if exceeded),
             age_s=None if age_s is None else round(age_s, 3),
@@ -101,6 +108,7 @@ class PublisherData:
             lost_percent=None if lost_percent is None else round(lost_percent, 2),
             outside=self._newest_outside(),
             fields=() if self.last is None else self.last.fields,
+            undecided=tuple(name for name, known in decided.items() if not known),
         )
 
     # ---- stamps
@@ -123,6 +131,7 @@ class PublisherData:
     def _add_content(self, message: Examined) -> None:
         first = self._first_same
         if first is None or message.content is None or message.content != first.content:
+            self._changed = first is not None
             self._first_same, self._repeats = message, 0
         else:
             self._repeats += 1
@@ -155,6 +164,7 @@ class PublisherData:
             self._losses.clear()
         else:
             self._losses.append((lost / (lost + published), message.at_s - last.at_s))
+        self._intervals += 1
         self._judge_losses()
 
     def _judge_losses(self) -> None:
@@ -182,9 +192,18 @@ class _Lasting:
 
     def __init__(self) -> None:
         self.bad = False
+        self.decided = True
+        """Once something was added: whether it has had the time to become bad."""
+        self._first_s: float | None = None
         self._since_s: float | None = None
 
     def add(self, at_s: float, *, bad: bool) -> None:
+        if self._first_s is None:
+            self._first_s, self.decided = at_s, False
+        self._add(at_s, bad=bad)
+        self.decided = self.decided or (self._since_s is None and at_s - self._first_s >= CONFIRM_S)
+
+    def _add(self, at_s: float, *, bad: bool) -> None:
         if bad == self.bad:
             self._since_s = None
         elif self._since_s is None:

@@ -204,3 +204,32 @@ def test_without_sequence_numbers_gaps_are_unknown() -> None:
     for number in range(4):
         publisher.add(Examined(float(number), None, content=b"x", counter=100 * number))
     assert publisher.fact().conditions == ("data_frozen",) and publisher.fact().lost_percent is None
+
+
+def test_equal_content_from_the_start_is_not_decided() -> None:
+    """Two equal messages of a new publisher do not show that the content changes; the first other one does."""
+    bench = Bench(frozen_s=60.0)
+    assert bench.each("content", [b"x", b"x"]).undecided == ("data_frozen",)
+    assert bench.each("content", [b"y", b"y"]).undecided == ()
+    bench.sequence = 0
+    assert bench.add(1, content=b"y").undecided == ("data_frozen",)
+    fact = bench.each("content", [b"y"] * 121)
+    assert (fact.conditions, fact.undecided) == (("data_frozen",), ())
+
+
+def test_stamps_are_decided_after_the_time_in_which_they_become_wrong() -> None:
+    """A new child process has no memory of a wrong stamp."""
+    bench = Bench(max_age_s=0.5)
+    assert bench.each("age_s", [9.0, 9.0]).undecided == ("data_stamp",)
+    fact = bench.each("age_s", [9.0])
+    assert (fact.conditions, fact.undecided) == (("data_stamp",), ())
+    right = Bench(max_age_s=0.5)
+    assert right.each("age_s", [0.1, 0.1]).undecided == ("data_stamp",)
+    assert right.each("age_s", [0.1]).undecided == ()
+
+
+def test_gaps_are_decided_after_enough_intervals() -> None:
+    """Also if the counter goes back between them."""
+    bench = Bench(counter="seq")
+    assert bench.each("counter", [0, 10, 20]).undecided == ("data_gaps",)
+    assert bench.each("counter", [0]).undecided == ()
