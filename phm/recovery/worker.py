@@ -150,7 +150,9 @@ class TargetWorker:
         if case is None:
             raise NotApprovable(f"{fault_id} is not being handled by recovery")
         unapproved, approved = (self._decide(case.fault, approved=given) for given in (False, True))
-        detail = self._operator().approvals.approve(case, unapproved, approved)
+        under_way = self._under_way
+        busy = under_way.attempt.action if under_way is not None else ""
+        detail = self._operator().approvals.approve(case, unapproved, approved, busy=busy)
         self._wake.set()
         return detail
 
@@ -429,4 +431,6 @@ class TargetWorker:
         """Count the attempt before it is published, so that it is not lost when PHM is killed in between. None: not tried."""
         if record is not None:
             self._history.add(record)
+            if self._requests is not None:
+                self._requests.approvals.attempt_ended()
         self._under_way = None

@@ -104,6 +104,7 @@ class ReporterContext:
     alive:  False when the check scheduler hangs; then a reporter must not report that all is OK.
     health: a snapshot of PHM's own condition for `phm status` (JSON-able).
     swarm:  the other agents. armed: whether the autopilot is armed; None: unknown. autopilot: whether this agent's autopilot is received.
+    reported_armed: the same by its heartbeats in this run of PHM alone, without what was known before.
     holds: what is on hold, as in `phm status --json`.
     restored: faults that were open, and were reported, before PHM restarted.
     requests: what was requested of the operator for such a fault, or one that recovery has given up on, and is not answered.
@@ -125,6 +126,7 @@ class ReporterContext:
     swarm: SwarmProbe | None = None
     autopilot: Callable[[], bool] | None = None
     armed: Callable[[], bool | None] = lambda: None
+    reported_armed: Callable[[], bool | None] = lambda: None
     radio: Callable[[], bool] | None = None
     holds: Callable[[], list[dict[str, Any]]] = list
     open_faults: Callable[[], tuple[Fault, ...]] = tuple

@@ -92,7 +92,7 @@ class LogReporter(Reporter):
             self._plain.write(encode(line), sync=sync)
 
     def tick(self) -> None:
-        armed = self._context.armed()
+        armed = self._context.reported_armed()
         change = self._flights.update(armed, self._context.clock.mono())
         if change is not None:
             self._mark(change)

@@ -238,6 +238,7 @@ class Components:
             swarm=self.probes.world.swarm,
             autopilot=autopilot_received,
             armed=self._known_armed,
+            reported_armed=self.armed.reported,
             radio=radio_received,
             open_faults=pipeline.open_faults,
             given_up=pipeline.given_up,

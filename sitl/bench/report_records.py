@@ -82,7 +82,7 @@ def _write(folder: Path, seconds: float, draw: random.Random) -> None:
         state_dir=str(folder / "state"),
     )
     context = ReporterContext(
-        reporter_settings(settings), clock, _BOOT, tuple, lambda: True, dict, armed=lambda: armed[0]
+        reporter_settings(settings), clock, _BOOT, tuple, lambda: True, dict, reported_armed=lambda: armed[0]
     )
     log = LogReporter.build(context)
     states = [_state(name, slot, values, draw) for name, slot, values in _UNITS]

@@ -63,7 +63,7 @@ def flying(folder: Path, armed: list[bool]) -> LogReporter:
             tuple,
             lambda: True,
             dict,
-            armed=lambda: armed[0],
+            reported_armed=lambda: armed[0],
         )
     )
 

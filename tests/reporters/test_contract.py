@@ -41,7 +41,7 @@ def written(directory: Path) -> dict[str, set[str]]:
     settings = Settings(log=LogSettings(directory=str(directory / "logs")), state_dir=str(directory / "state"))
     listeners: list[Any] = []
     links = cast(MavlinkSender, SimpleNamespace(listen=lambda callback, ids: listeners.append(callback)))
-    log = LogReporter.build(replace(context(settings, clock=clock), armed=lambda: True, mavlink=links))
+    log = LogReporter.build(replace(context(settings, clock=clock), reported_armed=lambda: True, mavlink=links))
     for _ in range(RING_LINES):
         log.handle(Note(at(), "PHM", "x"))
     (directory / "logs").unlink()

@@ -45,7 +45,7 @@ def make(
         log=LogSettings(directory=str(directory), **log),  # type: ignore[arg-type]
         state_dir=str(directory / "state"),
     )
-    return LogReporter.build(replace(context(settings, clock=clock), armed=armed))
+    return LogReporter.build(replace(context(settings, clock=clock), reported_armed=armed))
 
 
 def written(directory: Path, *events: Event) -> list[dict[str, object]]:

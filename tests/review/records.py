@@ -71,7 +71,7 @@ class Flown:
         self._listeners: list[Callable[[Any, str], None]] = []
         made = replace(
             context(settings, clock=self.clock),
-            armed=lambda: self.armed,
+            reported_armed=lambda: self.armed,
             boot_id=boot,
             machine_boot=machine_boot,
             mavlink=cast(MavlinkSender, SimpleNamespace(listen=lambda callback, ids: self._listeners.append(callback))),

@@ -38,22 +38,25 @@ class Approvals:
     ) -> None:
         self._target, self._clock, self._generations = target, shared.clock, shared.generations
         self._armed, self._lasting_s, self._reporter = armed, lasting_s, reporter
+        self._attempt_ended = float("-inf")
 
     def grant(self, action: str) -> Approval:
         """An approval of `action` in the current situation."""
         now = self._clock.mono()
         return Approval(self._situation(action), now, now + self._lasting_s)
 
-    def approve(self, case: FaultCase, unapproved: Decision, approved: Decision) -> str:
+    def approve(self, case: FaultCase, unapproved: Decision, approved: Decision, *, busy: str) -> str:
         """Approve what is advised for a fault; what will be done. Raises NotApprovable, and NotNow when it may be later.
 
-        unapproved, approved: what the policy decides without and with an approval.
+        unapproved, approved: what the policy decides without and with an approval. busy: the action under way; empty: none.
         """
         fault = case.fault
         if not isinstance(unapproved, Advise) and not case.refused:
             raise NotApprovable(f"nothing is advised for {fault.id}: {in_words(unapproved)}")
         if isinstance(approved, (Skip, GiveUp)):
             raise NotApprovable(f"{fault.id} cannot be approved: {in_words(approved)}")
+        if busy:  # what it achieves decides what is recommended next
+            raise NotNow(f"{busy} of {self._target} is under way: approve what is recommended after it")
         action = unapproved.action if isinstance(unapproved, Advise) else getattr(approved, "action", "recovery")
         approval = self.grant(action)
         if isinstance(approved, Wait) and approved.until >= approval.until:
@@ -70,7 +73,13 @@ class Approvals:
         """Why the case's approval does not hold for `action` now; empty: it does, or there is none."""
         if case.approval is None:
             return ""
+        if case.approval.given < self._attempt_ended:
+            return f"another action on {self._target} has ended since"
         return case.approval.void(self._clock.mono(), self._situation(action))
+
+    def attempt_ended(self) -> None:
+        """An attempt on the target has ended: approvals given before it did not know its outcome."""
+        self._attempt_ended = self._clock.mono()
 
     def check(self, case: FaultCase, action: str) -> list[float]:
         """End an approval that no longer holds; else in how many seconds to check again.

@@ -139,6 +139,18 @@ class ArmedMonitor:
             self._last = LastArmedState(known[0], self._clock.mono(), known[1])
         return found
 
+    def reported(self) -> bool | None:
+        """Whether heartbeats received in this run of PHM say that it is armed; None: unknown, or only what was before says it.
+
+        For a record of flights: after a loss of power in flight the flight did not last until the next start.
+        """
+        fact, state = self._pilot(), self.now().state
+        if fact is None or state is ArmedState.UNKNOWN:
+            return None
+        if state is ArmedState.DISARMED:
+            return False
+        return True if fact.armed else None
+
     def kept(self) -> LastArmedState | None:
         """The last certain state, for the state file; it changes only when the state does."""
         self.now()

@@ -167,3 +167,37 @@ def test_a_requested_restart_expires_too(agents: list[Agent]) -> None:
     made.rest(5.0)
     assert made.runs == []
     assert [event.phase for event in made.of(ActionEvent)] == [Phase.REFUSED]
+
+
+def test_one_recommendation_is_approved_once(agents: list[Agent]) -> None:
+    """A second ground station approves while the first restart is verified: that does not approve a second one."""
+    made = broken(agents, critical=("app",), verify=5.0, backoff=0.1)
+    made.armed = True
+    fault = fault_of(made)
+    made.until(lambda: Phase.ADVISED in made.steps(), "the advice")
+    made.executor.approve(fault)
+    made.until(lambda: Phase.DONE in made.steps(), "the restart")
+    with pytest.raises(NotNow, match="restart of app is under way"):
+        made.executor.approve(fault)
+    made.rest(40.0)
+    assert made.runs == [("app", "container/app")]
+
+
+def test_the_end_of_an_attempt_voids_earlier_approvals(agents: list[Agent]) -> None:
+    """Of two faults of a container both restarts were approved: after the first it must be decided again."""
+    made = Agent(
+        {"container/app": Of("app"), "health/app": Of("app")}, Containers("app"), FakeClock(), critical=("app",)
+    )
+    agents.append(made)
+    made.armed = True
+    made.bad = {"container/app": "broken", "health/app": "broken"}
+    made.behave = lambda *_: None  # no new generation, which would void it, too
+    made.until(lambda: made.steps().count(Phase.ADVISED) == 2, "two recommendations")
+    lock_target(made)
+    for fault in made.pipeline.open_faults():
+        made.executor.approve(fault.id)
+    made.locks.release("app", made)
+    made.until(lambda: expired(made), "the message")
+    made.rest(40.0)
+    assert "another action on app has ended since" in expired(made)[0]
+    assert len(made.runs) == 1

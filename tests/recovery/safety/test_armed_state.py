@@ -12,6 +12,7 @@ from phm.core.model import Fault, Phase
 from phm.facts.links import AutopilotFact
 from phm.recovery.base import ActionContext, FlightCriticalError
 from phm.recovery.safety.armed_state import ArmedMonitor, ArmedState, LastArmedState, assess
+from phm.reporters.flights import FlightChange, FlightCounter
 from phm.testing import FakeClock
 from tests.recovery.simulated_agent import Agent, Containers, Of
 
@@ -154,6 +155,38 @@ def test_an_action_that_would_cut_a_flight_critical_network_is_only_advised(agen
     assert "would take down pilot, which is flight-critical" in made.actions()[0].detail
     made.armed = False
     made.until(lambda: made.runs == [("app", "container/app")], "the restart after landing")
+
+
+@pytest.mark.parametrize(
+    ("given", "reported"),
+    [
+        (None, None),
+        (fact(None, 0.5, disarmed_for_s=29.0), None),
+        (fact(None, 0.5, disarmed_for_s=31.0), False),
+        (fact(None, 12.0), None),
+        (fact(0.5, None), True),
+        (fact(12.0, None), True),
+        (fact(9.0, 0.5, rebooted_s=5.0, rebooted_armed=True), None),
+    ],
+)
+def test_what_an_earlier_run_knew_is_not_reported_as_armed(given: AutopilotFact | None, reported: bool | None) -> None:
+    """Recovery relies on it, but the log would say that the flight lasted until PHM started again."""
+    monitor = ArmedMonitor(lambda: given, TIMEOUT_S, FakeClock())
+    monitor.restore(FLEW)
+    assert monitor.reported() is reported
+
+
+def test_a_flight_that_a_loss_of_power_cut_does_not_continue_at_the_next_boot(tmp_path: Path) -> None:
+    """The first heartbeats say disarmed: recovery waits with them as in the air, and the log says only that it ended."""
+    FlightCounter(str(tmp_path)).update(True, 0.0)
+    heard: list[AutopilotFact | None] = [None]
+    monitor, counter = ArmedMonitor(lambda: heard[-1], TIMEOUT_S, FakeClock()), FlightCounter(str(tmp_path))
+    monitor.restore(FLEW)
+    marks = []
+    for seconds in range(40):
+        marks.append(counter.update(monitor.reported(), float(seconds)))
+        heard.append(fact(None, 0.5, disarmed_for_s=float(seconds)))
+    assert [mark for mark in marks if mark is not None] == [FlightChange(1, began=False)]
 
 
 def test_arming_during_an_action_is_not_a_failure_of_the_container(agents: list[Agent]) -> None:

@@ -106,7 +106,7 @@ def reporter(
         log=LogSettings(directory=str(directory), max_size=max_size, files=files, sync=sync),
         state_dir=str(directory / "state"),
     )
-    made = replace(context(settings, clock=SystemClock()), armed=lambda: True, boot_id=f"run{run:09d}")
+    made = replace(context(settings, clock=SystemClock()), reported_armed=lambda: True, boot_id=f"run{run:09d}")
     return LogReporter.build(made)
 
 

@@ -50,7 +50,9 @@ class Log:
         settings = Settings(
             log=LogSettings(directory=str(folder), max_size=max_size, files=files), state_dir=str(folder / "state")
         )
-        self._context = replace(context(settings, clock=self.clock), armed=lambda: armed, machine_boot="machine1")
+        self._context = replace(
+            context(settings, clock=self.clock), reported_armed=lambda: armed, machine_boot="machine1"
+        )
         self.log = LogReporter.build(self._context)
 
     def restart(self, boot: str, machine_boot: str) -> None:
