@@ -55,6 +55,8 @@ class Consensus:
     observers: tuple[int, ...] = ()
     split: tuple[int, ...] = ()
     """Two or more agents that were lost together; empty when no split is detected."""
+    receive_none: tuple[int, ...] = ()
+    """Agents that are received and receive no other one, by their views; this one too, if it receives none."""
 
     @property
     def members(self) -> int:
@@ -86,6 +88,7 @@ def compute_consensus(peers: Peers, now: float, own_gcs: bool) -> Consensus:
         agent for observer, view in views.items() for agent in received.difference(view.there) if agent != observer
     }
     undisputed = received - disputed
+    receive_none = _receive_none(peers.own, received, views, known=len(seen))
     statuses = {
         agent: _unanimous(agent, how, observers, views, peers)
         if agent in undisputed
@@ -96,7 +99,7 @@ def compute_consensus(peers: Peers, now: float, own_gcs: bool) -> Consensus:
     lost = [
         agent for agent, status in statuses.items() if status.state is MemberState.LOST and seen[agent] not in THERE
     ]
-    return Consensus(peers.own, statuses, observers, _together(lost, peers))
+    return Consensus(peers.own, statuses, observers, _together(lost, peers), receive_none)
 
 
 def without_gcs(consensus: Consensus, own_gcs: bool) -> tuple[int, ...]:
@@ -106,6 +109,15 @@ def without_gcs(consensus: Consensus, own_gcs: bool) -> tuple[int, ...]:
         return ()
     no_gcs = [agent for agent in consensus.living if agent != consensus.own and consensus.statuses[agent].gcs is False]
     return tuple(sorted([*no_gcs, *([] if own_gcs else [consensus.own])]))
+
+
+def _receive_none(own: int, received: frozenset[int], views: Mapping[int, PeerView], known: int) -> tuple[int, ...]:
+    """See `Consensus.receive_none`. Of two agents each may be the cause: then neither is."""
+    if known < 2:
+        return ()
+    there = received | {own}
+    receive_none = [agent for agent, view in views.items() if view.there.isdisjoint(there)]
+    return tuple(sorted([*receive_none, *([] if received else [own])]))
 
 
 def _unanimous(
