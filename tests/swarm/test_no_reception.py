@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from phm.core.model import Level
 from sitl.simulation.fleet import Fleet
 from tests.swarm.test_lost_leader import Watched
 
@@ -47,3 +48,16 @@ def test_the_loss_of_all_others_is_reported_by_the_last_one() -> None:
     fleet.down.add(3)
     watched.run(30)
     assert fleet.lines(3)[:2] == ["A02 FAIL 12 A01 lost", "A02 FAIL 12 all peers lost"]
+
+
+def test_an_agent_that_receives_none_is_one_report() -> None:
+    """Not one about each agent that it does not receive; and it lasts for as long as the fault does."""
+    watched = Watched(8)
+    fleet = watched.fleet
+    watched.run(60)
+    fleet.lines()
+    stop_receiving(fleet, 5)
+    fleet.no_gcs = {5}
+    watched.run(200)
+    assert [line for line in fleet.lines(4) if " 12 " in line] == ["A01 WARN 12 A05 receives no other agent"]
+    assert fleet.agents[1].units["peers/A05"].level is Level.WARN
