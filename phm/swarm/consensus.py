@@ -135,10 +135,17 @@ def _status(agent: int, how: PeerState, views: Mapping[int, PeerView], gcs: bool
     peer = peers.peer(agent)
     assert peer is not None
     received, not_receiving = ([peers.own], []) if how in THERE else ([], [peers.own])
+    never = []
+    """No votes while another agent receives it: these may have been started a moment ago."""
     for observer, view in views.items():
         if observer == agent:
             continue
-        (received if agent in view.there else not_receiving).append(observer)
+        if agent in view.there:
+            received.append(observer)
+        else:
+            (not_receiving if view.peers.get(agent, PeerState.NEVER) else never).append(observer)
+    if not received:
+        not_receiving += never
     words = (tuple(sorted(received)), tuple(sorted(not_receiving)), gcs, peer.word)
     if peer.leaving and how is PeerState.LOST:
         return MemberStatus(MemberState.LEFT, *words)
