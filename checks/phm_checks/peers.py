@@ -15,6 +15,7 @@ SETTLE_S = 5.0
 """Agents that disappear together are detected together (`phm.swarm.group_loss`) or within seconds of each other. A split
 is reported immediately, before single agents are."""
 SWARM = "peers/swarm"
+THERE = ("alive", "late", "partly reachable")
 
 
 class Peers(api.Check):
@@ -86,8 +87,7 @@ class Peers(api.Check):
         away = [(agent, fact.peers[agent]) for agent in self._away if agent in fact.peers]
         coming = {agent for agent, peer in away if peer.state == "lost" or peer.since_s < SETTLE_S}
         self._away = frozenset(coming.union(fact.split))
-        there = ("alive", "late", "partly reachable")
-        here = {fact.own, *(agent for agent, peer in fact.peers.items() if peer.state in there)} - self._away
+        here = {fact.own, *(agent for agent, peer in fact.peers.items() if peer.state in THERE)} - self._away
         return [
             api.error(
                 f"the swarm is split: {_names(self._away)} disappeared together and {_names(here)} are still reachable: either the network "
@@ -122,6 +122,10 @@ def _agent(agent: int, fact: api.SwarmFact) -> api.Result:
         return api.Result(
             Level.WARN, words, brief(name, "never seen"), "peer_never_seen", values=values, evidence=known
         )
+    if agent in fact.receive_none and peer.state in THERE:
+        words = f"agent {name} is received but receives no other agent: check its radio's receiver and its network"
+        short = brief(name, "receives no other agent")
+        return api.Result(Level.WARN, words, short, "peer_receives_none", values=values)
     if peer.state == "partly reachable":
         words = (
             f"agent {name} is alive, received by {_names(peer.received_by)} but not by {_names(peer.not_received_by)}: the network "

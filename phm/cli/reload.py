@@ -41,6 +41,7 @@ def _print(outcome: dict[str, Any]) -> None:
     for problem in outcome["problems"]:
         click.echo(one_line(problem["text"]), err=True)
     if count := len(outcome["problems"]):
+        count = outcome.get("total", count)  # PHM may be older than this command
         click.echo(f"{count} problem{'s' if count != 1 else ''}: the old configuration remains active", err=True)
     else:
         click.echo(one_line(outcome["text"]), err=not outcome["ok"])

@@ -38,7 +38,7 @@ class SwarmFact:
     split:           agents that were lost together.
     no_gcs:          living agents that receive no ground station while others do.
     duplicate_ids:   ids that two agents use.
-    leader:          id of the agent that reports for the swarm; None while no agent receives the ground.
+    leader:          id of the agent that reports for the swarm; None while no agent receives the ground and another agent.
     """
 
     own: int
@@ -53,9 +53,11 @@ class SwarmFact:
     up_s: float = 0.0
     """How long this agent has been listening. Shortly after the start, absence proves nothing."""
     links: tuple[str, ...] = ()
-    """Names of the links on which another agent was received recently."""
+    """Names of the links on which another agent was received recently; if there are none, on which one was ever received."""
     unlisted: tuple[int, ...] = ()
     """Ids received recently that are not in `swarm.agents`, if that is set. They are ignored."""
+    receive_none: tuple[int, ...] = ()
+    """Agents that are received and receive no other agent; this one too, if it receives none though two or more are known."""
 
 
 class SwarmProbe(Protocol):

@@ -100,7 +100,8 @@ class SwarmMonitor:
             agreed = compute_consensus(self._peers, now, gcs)
             leader = self._election.leader(agreed, gcs, now)
             duplicate_ids, unlisted = self._peers.duplicate_ids(now), self._peers.unlisted(now)
-            links = tuple(sorted(name for name, at in self._links.items() if now - at <= LINK_S))
+            recent = [name for name, at in self._links.items() if now - at <= LINK_S]
+            links = tuple(sorted(recent or self._links))  # an agent that receives none must still send that it does
             self._since = {
                 agent: self._since_when(agent, status.state.value, now) for agent, status in agreed.statuses.items()
             }
@@ -118,6 +119,7 @@ class SwarmMonitor:
             now - self._began,
             links,
             unlisted,
+            agreed.receive_none,
         )
 
     def wake_if_changed(self) -> None:
@@ -132,6 +134,7 @@ class SwarmMonitor:
             fact.no_gcs,
             fact.duplicate_ids,
             fact.leader,
+            fact.receive_none,
         )
         with self._lock:
             changed, self._shown = picture != self._shown, picture

@@ -165,6 +165,11 @@ class MavlinkReporter(Reporter):
         swarm = self._context.swarm
         return swarm is None or swarm.snapshot().leader == self._agent
 
+    def _alone(self) -> bool:
+        """Whether this agent receives no other one: what it reports then is about itself, and if all others died no one else does."""
+        swarm = self._context.swarm
+        return swarm is not None and self._agent in swarm.snapshot().receive_none
+
     def _take_over(self, now: float) -> None:
         """As the new leader, send what the last one may not have sent before it or its radio failed; the rest would be a
         repetition.
@@ -185,7 +190,7 @@ class MavlinkReporter(Reporter):
     def _say(self, lines: list[StatusTextLine]) -> None:
         for line in lines:
             if line.key.startswith(PEERS):
-                if not self._leads():
+                if not self._leads() and not self._alone():
                     self._left_to_leader[line.key] = (line, self._context.clock.mono())
                     continue
                 self._left_to_leader.pop(line.key, None)

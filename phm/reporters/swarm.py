@@ -11,13 +11,14 @@ from typing import Any, ClassVar
 
 from phm.core.model import Event, worst_by_slot
 from phm.core.rate_limiter import TokenBucket
-from phm.facts.swarm import SwarmFact, SwarmProbe
+from phm.facts.swarm import PeerFact, SwarmFact, SwarmProbe
 from phm.reporters.base import MavlinkSender, Reporter, ReporterContext
 from phm.reporters.flap_damping import FlapDamper
 from phm.reporters.gcs_presence import GcsPresence
 from phm.reporters.statustext import StatusTextLine
 from phm.swarm import digest
 from phm.swarm.consensus import Consensus, MemberState, MemberStatus
+from phm.swarm.peers import LOST_PERIODS
 from phm.transport.dialect import mavlink
 from phm.transport.priority import MessagePriority, default_periods
 from phm.wire import status_word, tunnel
@@ -112,7 +113,8 @@ class SwarmReporter(Reporter):
 
     def _view(self, fact: SwarmFact, now: float) -> None:
         autopilot, radio = (ask is not None and ask() for ask in (self._context.autopilot, self._context.radio))
-        seen = {agent: _seen(peer.state, self._agent in peer.received_by) for agent, peer in fact.peers.items()}
+        new = fact.up_s < LOST_PERIODS * self._heartbeat_s()
+        seen = {agent: _seen(peer, self._agent in peer.received_by, new) for agent, peer in fact.peers.items()}
         said = (fact.gcs, autopilot, radio, tuple(sorted(seen.items())))
         heartbeat_s = self._heartbeat_s()
         since_s = now - self._view_at
@@ -182,9 +184,10 @@ class SwarmReporter(Reporter):
         self._port.send(message, line.kind, key=line.key, urgency=int(line.severity))
 
 
-def _seen(state: str, received: bool) -> PeerState:
-    """Its state as seen by this agent alone: the consensus must not count as evidence for itself."""
-    if state == MemberState.NEVER.value:
+def _seen(peer: PeerFact, received: bool, new: bool) -> PeerState:
+    """Its state as seen by this agent alone: the consensus must not count as evidence for itself. new: this agent was started only now,
+    and may not have received each heartbeat yet."""
+    if peer.state == MemberState.NEVER.value or (new and peer.age_s is None):
         return PeerState.NEVER
     return PeerState.ALIVE if received else PeerState.LOST
 

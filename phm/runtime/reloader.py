@@ -13,6 +13,7 @@ import signal
 import threading
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
+from typing import Any
 
 from phm.checking.plan import CheckPlan
 from phm.config import ConfigError, Problem
@@ -20,11 +21,12 @@ from phm.core.dependency_graph import DependencyCycle
 from phm.runtime.configuration import FIXED, Configuration, fixed_sections
 from phm.runtime.daemon import Daemon
 from phm.runtime.wiring import build_successor
+from phm.wire import control
 
 logger = logging.getLogger(__name__)
 
 ANSWER_S = 30.0
-MAX_PROBLEMS = 100
+MAX_PROBLEMS, MAX_TEXT = 100, 500
 
 ReadAgain = Callable[[], Configuration]
 """Reads and validates the configuration file again. Raises ConfigError."""
@@ -54,9 +56,19 @@ class ReloadOutcome:
         return f"configuration reloaded: {applied}{later}"
 
     def as_json(self) -> str:
-        document = {**asdict(self), "text": self.text()}
-        document["problems"] = [{**asdict(each), "text": str(each)} for each in self.problems[:MAX_PROBLEMS]]
-        return json.dumps(document)
+        """As JSON, with as many of the `total` problems as the control socket's answer can have."""
+        kept = [{**asdict(each), "text": str(each)} for each in self.problems[:MAX_PROBLEMS]]
+        kept = [{name: _cut(value) for name, value in each.items()} for each in kept]
+        document = {**asdict(self), "why": _cut(self.why), "text": _cut(self.text()), "total": len(self.problems)}
+        while True:
+            text = json.dumps({**document, "problems": kept})
+            if len(json.dumps(text)) <= control.MAX_ANSWER - MAX_TEXT:  # the answer has it as a text in JSON
+                return text
+            kept = kept[: len(kept) // 2]
+
+
+def _cut(value: Any) -> Any:
+    return value if not isinstance(value, str) or len(value) <= MAX_TEXT else f"{value[: MAX_TEXT - 3]}..."
 
 
 @dataclass

@@ -1,7 +1,8 @@
 """Consensus of the swarm from the views of all agents: lost, partly reachable, split, or without a ground station. Pure.
 
 Each agent computes it from the same views, without a leader and without rounds: views are small and sent often, and old ones do
-not count. Observers are this agent and each agent that it receives and whose view is new enough. An agent is *lost* when more
+not count. Observers are this agent and each agent that it receives, whose view is new enough and has an agent that this one
+receives: the fault of one that receives none is its own. An agent is *lost* when more
 observers have lost it than receive it, and *partly reachable* if some do not receive it; both lists are reported. An agent that
 this one receives is not lost, whatever the others vote. In a split network each side sees the other as lost; when several agents
 are lost together, it is reported as a split.
@@ -55,6 +56,8 @@ class Consensus:
     observers: tuple[int, ...] = ()
     split: tuple[int, ...] = ()
     """Two or more agents that were lost together; empty when no split is detected."""
+    receive_none: tuple[int, ...] = ()
+    """Agents that are received and receive no other one, by their views; this one too, if it receives none."""
 
     @property
     def members(self) -> int:
@@ -79,24 +82,28 @@ def compute_consensus(peers: Peers, now: float, own_gcs: bool) -> Consensus:
     views = {
         agent: view for agent, peer in peers.all().items() if seen[agent] in THERE and (view := peer.fresh_view(now))
     }
+    received = frozenset(agent for agent, how in seen.items() if how in THERE)
+    receive_none = _receive_none(peers.own, received, views, known=len(seen))
+    gcs = {agent: view.gcs for agent, view in views.items()}
+    for agent in views.keys() & set(receive_none):
+        del views[agent]
     observers = tuple(sorted((peers.own, *views)))
     # Usually all observers receive the same agents: those need no counting, and 100 agents do not cost 10 000 comparisons.
-    received = frozenset(agent for agent, how in seen.items() if how in THERE)
     disputed = {
         agent for observer, view in views.items() for agent in received.difference(view.there) if agent != observer
     }
     undisputed = received - disputed
     statuses = {
-        agent: _unanimous(agent, how, observers, views, peers)
+        agent: _unanimous(agent, how, observers, gcs.get(agent), peers)
         if agent in undisputed
-        else _status(agent, how, views, peers, now)
+        else _status(agent, how, views, gcs.get(agent), peers)
         for agent, how in seen.items()
     }
     # An agent that we receive is not lost: when a split ends, views of the other half still report ours as lost.
     lost = [
         agent for agent, status in statuses.items() if status.state is MemberState.LOST and seen[agent] not in THERE
     ]
-    return Consensus(peers.own, statuses, observers, _together(lost, peers))
+    return Consensus(peers.own, statuses, observers, _together(lost, peers), receive_none)
 
 
 def without_gcs(consensus: Consensus, own_gcs: bool) -> tuple[int, ...]:
@@ -108,25 +115,38 @@ def without_gcs(consensus: Consensus, own_gcs: bool) -> tuple[int, ...]:
     return tuple(sorted([*no_gcs, *([] if own_gcs else [consensus.own])]))
 
 
-def _unanimous(
-    agent: int, how: PeerState, observers: tuple[int, ...], views: Mapping[int, PeerView], peers: Peers
-) -> MemberStatus:
-    peer, view = peers.peer(agent), views.get(agent)
+def _receive_none(own: int, received: frozenset[int], views: Mapping[int, PeerView], known: int) -> tuple[int, ...]:
+    """See `Consensus.receive_none`. Of two agents each may be the cause: then neither is."""
+    if known < 2:
+        return ()
+    there = received | {own}
+    receive_none = [agent for agent, view in views.items() if view.there.isdisjoint(there)]
+    return tuple(sorted([*receive_none, *([] if received else [own])]))
+
+
+def _unanimous(agent: int, how: PeerState, observers: tuple[int, ...], gcs: bool | None, peers: Peers) -> MemberStatus:
+    peer = peers.peer(agent)
     assert peer is not None
     state = MemberState.LATE if how is PeerState.LATE else MemberState.ALIVE
-    return MemberStatus(state, observers, (), view.gcs if view is not None else None, peer.word)
+    return MemberStatus(state, observers, (), gcs, peer.word)
 
 
-def _status(agent: int, how: PeerState, views: Mapping[int, PeerView], peers: Peers, now: float) -> MemberStatus:
+def _status(agent: int, how: PeerState, views: Mapping[int, PeerView], gcs: bool | None, peers: Peers) -> MemberStatus:
     peer = peers.peer(agent)
     assert peer is not None
     received, not_receiving = ([peers.own], []) if how in THERE else ([], [peers.own])
+    never = []
+    """No votes while another agent receives it: these may have been started a moment ago."""
     for observer, view in views.items():
         if observer == agent:
             continue
-        (received if agent in view.there else not_receiving).append(observer)
-    own_word = views.get(agent)
-    words = (tuple(sorted(received)), tuple(sorted(not_receiving)), own_word.gcs if own_word else None, peer.word)
+        if agent in view.there:
+            received.append(observer)
+        else:
+            (not_receiving if view.peers.get(agent, PeerState.NEVER) else never).append(observer)
+    if not received:
+        not_receiving += never
+    words = (tuple(sorted(received)), tuple(sorted(not_receiving)), gcs, peer.word)
     if peer.leaving and how is PeerState.LOST:
         return MemberStatus(MemberState.LEFT, *words)
     if not received:

@@ -1,4 +1,4 @@
-"""Election of the leader: the lowest id that is alive and receives the ground. Each agent computes it; no messages. Pure.
+"""Election of the leader: the lowest id that is alive and receives the ground and an agent. Each agent computes it; no messages. Pure.
 
 A better candidate takes over only after it has been fit for STEADY_S, so that an agent at the edge of its radio range does not
 cause repeated changes. While views differ, two agents may act as leader for a moment: their digests are the same, and a second
@@ -20,7 +20,7 @@ class LeaderElection:
         self._fit_since: dict[int, float] = {}
 
     def leader(self, consensus: Consensus, own_gcs: bool, now: float) -> int | None:
-        """The id of the current leader; None while no agent on this side receives the ground."""
+        """The id of the current leader; None while no agent on this side is fit."""
         fit = _fit(consensus, own_gcs)
         self._fit_since = {agent: self._fit_since.get(agent, now) for agent in fit}
         if self._leader not in fit:
@@ -35,7 +35,7 @@ class LeaderElection:
 
 
 def _fit(consensus: Consensus, own_gcs: bool) -> list[int]:
-    """Agents that are alive and receive the ground by their own views."""
+    """Agents that are alive and receive the ground and another agent by their own views: one that receives none knows no other agent's state."""
     there = (MemberState.ALIVE, MemberState.PARTLY, MemberState.LATE)
     fit = [agent for agent, status in consensus.statuses.items() if status.state in there and status.gcs]
-    return sorted([*fit, *([consensus.own] if own_gcs else [])])
+    return sorted({*fit, *([consensus.own] if own_gcs else [])}.difference(consensus.receive_none))
