@@ -121,16 +121,27 @@ def _unknown_conditions(good: Configuration) -> list[str]:
 
 
 def _loopback(good: Configuration) -> list[str]:
+    from phm.core.settings.metrics import is_loopback as is_own_address
     from phm.transport.own_network import is_loopback, is_private
 
-    loopback = [entry.url for entry in good.settings.mavlink.endpoints if is_loopback(entry.url)]
-    if not loopback or not is_private():
+    if not is_private():
         return []
-    return [
-        f"{good.file}: mavlink.endpoints: {', '.join(loopback)} does not leave PHM's container. For a ground station or router on "
-        "the host use udpout:host.docker.internal:14550 with `extra_hosts: [host.docker.internal:host-gateway]`, or `network_mode: "
-        "host`; for one in another container, its name"
-    ]
+    found = []
+    loopback = [entry.url for entry in good.settings.mavlink.endpoints if is_loopback(entry.url)]
+    if loopback:
+        found.append(
+            f"{good.file}: mavlink.endpoints: {', '.join(loopback)} does not leave PHM's container. For a ground station or router on "
+            "the host use udpout:host.docker.internal:14550 with `extra_hosts: [host.docker.internal:host-gateway]`, or `network_mode: "
+            "host`; for one in another container, its name"
+        )
+    metrics = good.settings.metrics
+    if metrics.listen and is_own_address(metrics.address[0]):
+        port = metrics.address[1]
+        found.append(
+            f"{good.file}: metrics.listen: {metrics.listen} cannot be reached from outside PHM's container. Use 0.0.0.0:{port}, and "
+            f'`ports: ["127.0.0.1:{port}:{port}"]` in its Compose file, with another address of the host if Prometheus runs elsewhere'
+        )
+    return found
 
 
 def _facts(good: Configuration) -> dict[str, str | int | float]:

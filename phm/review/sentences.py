@@ -10,8 +10,9 @@ from phm.review.check_rates import by_action, counted, opened
 from phm.wire.report import clock_text
 
 Json = dict[str, Any]
-ADVICE = re.compile(r": ([a-z][^:]+)$")
-"""What to do, at the end of the sentence of a fault: after its last colon."""
+ADVICE = re.compile(r"expected (?:(?!\. ).)*: ([a-z][^:]+)$")
+"""What to do, at the end of a fault's summary: after the last colon, in the sentence with what was expected. Other colons are in what
+was found, as an exit code's meaning or the last output of a health check."""
 
 NO_AGENT = (
     "Faults are unknown: no agent is in the record.",
@@ -97,7 +98,8 @@ def _next(document: Json) -> str:
     if left:
         first = left[-1]
         advice = ADVICE.search(first["summary"])
-        what = advice.group(1).rstrip(".") if advice else f"look at {first['unit']}"
+        look = ": ".join(filter(None, (f"look at {first['unit']}", first["brief"])))
+        what = advice.group(1).rstrip(".") if advice else look
         return f"Before the next flight, on {first['agent']} ({first['unit']}): {what}."
     repeated = Counter((fault["agent"], fault["unit"]) for fault in faults).most_common(1)
     if repeated and repeated[0][1] > 1:

@@ -58,7 +58,10 @@ def ask_all(run_dir: str, request: dict[str, Any], timeout_s: float | None = Non
                 stream.sendall(json.dumps(request).encode("ascii") + b"\n")
             answer = _line(stream)
     except FileNotFoundError:
-        raise NoAnswer(f"{where} does not exist: PHM is not running, or uses another run_dir (see --run-dir)") from None
+        raise NoAnswer(
+            f"{where} does not exist: PHM is not running, or uses another run_dir (see --run-dir); in a container: "
+            "`docker compose exec phm phm status`"
+        ) from None
     except PermissionError:
         raise NoAnswer(f"permission denied for {where}: run this as root or as PHM's own user") from None
     except OSError as error:

@@ -37,7 +37,7 @@ def read(run_dir: str) -> dict[str, Any]:
     except FileNotFoundError:
         raise NoStatus(
             f"there is no {path}: PHM is not running (set it up with `phm init`), was started seconds ago (try again), "
-            "or has another run_dir (see --run-dir)"
+            "or has another run_dir (see --run-dir); in a container: `docker compose exec phm phm status`"
         ) from None
     except OSError as error:
         raise NoStatus(f"cannot read {path}: {error.strerror}") from None

@@ -57,6 +57,25 @@ def test_an_endpoint_that_does_not_leave_the_container_is_a_warning(
 
 
 @pytest.mark.parametrize(
+    ("private", "listen", "count"),
+    [(True, "127.0.0.1:9470", 1), (True, "localhost:9470", 1), (True, "0.0.0.0:9470", 0), (False, "127.0.0.1:9470", 0)],
+)
+def test_metrics_that_stay_in_the_container_are_a_warning(
+    private: bool, listen: str, count: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """With the port of the file in both lines to write."""
+    monkeypatch.setattr("phm.transport.own_network.is_private", lambda: private)
+    file = tmp_path / "phm.yaml"
+    file.write_text(json.dumps({"agent": {"id": 1}, "metrics": {"listen": listen}}))
+    done = CliRunner().invoke(group, ["validate", str(file), "--json"])
+    warnings = json.loads(done.stdout)["warnings"]
+    assert done.exit_code == 0 and len(warnings) == count
+    for text in warnings:
+        assert f"metrics.listen: {listen} cannot be reached" in text
+        assert 'Use 0.0.0.0:9470, and `ports: ["127.0.0.1:9470:9470"]`' in text
+
+
+@pytest.mark.parametrize(
     ("condition", "words"),
     [
         ("unhealthy", ""),

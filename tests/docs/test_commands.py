@@ -265,3 +265,13 @@ def test_the_output_of_a_command_that_failed_replaces_no_file() -> None:
     assert unguarded(["phm learn > a", "mv a b && phm reload"]) and unguarded(["phm learn > a", "cat a > b"])
     assert not unguarded(["phm learn > a && mv a b", "mv c d/", "cat c > d"])
     assert unguarded([line for block in blocks("console") for line in typed(block)]) == []
+
+
+def test_commands_for_the_container_of_phm_are_those_of_compose() -> None:
+    """Compose gives the container another name than that of its service, `phm`."""
+    found = [
+        str(page.relative_to(ROOT))
+        for page in pages()
+        if re.search(r"docker (?:logs|exec)(?: -\w+)* phm\b", page.read_text("utf-8"))
+    ]
+    assert found == []

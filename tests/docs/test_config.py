@@ -35,6 +35,7 @@ SERVICE = frozenset(
         "devices",
         "env_file",
         "environment",
+        "extra_hosts",
         "group_add",
         "healthcheck",
         "image",

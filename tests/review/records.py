@@ -123,7 +123,12 @@ class Flown:
     def fail(self, name: str, *, lasts: float | None = 4.0, by: str = "restart", brief: str = "") -> str:
         """A fault that opens now and, unless it stays open, ends after `lasts` seconds. Returns its id."""
         self.faults += 1
-        state = self._state(name, Level.ERROR, f"{name} is gone: restart it and check its log", brief or f"{name} gone")
+        state = self._state(
+            name,
+            Level.ERROR,
+            f"{name} is gone, expected running: restart it and check its log",
+            brief or f"{name} gone",
+        )
         opened = Fault(
             f"{self.prefix}{self.faults}", name, state.slot, state.layer, state.result, self.at, consequences=("rates",)
         )

@@ -14,6 +14,7 @@ from phm.setup.answers import Answers
 from phm.setup.machine import Application, SerialPort
 from phm.setup.template_renderer import render
 from phm.setup.yaml_text import quoted
+from tests.docs.blocks import blocks
 from tests.docs.examples import ROOT
 from tests.setup.machines import application, machine
 
@@ -198,3 +199,16 @@ def test_text_from_outside_stays_one_value(text: str) -> None:
     """Whatever a name contains, YAML reads it back."""
     plain = text.encode("utf-8", "replace").decode()
     assert yaml.safe_load(f"[{quoted(plain)}]") == [plain.replace("${", "$${")]
+
+
+def test_phm_yaml_reads_the_mounts_of_the_service_in_the_guide() -> None:
+    """docs/guides/compose.md puts this file, alone, beside the user's own Compose file."""
+    (block,) = (one for one in blocks("yaml") if one.page == "docs/guides/compose.md" and "services:" in one.text)
+    guide, own = yaml.safe_load(block.text), made(application("ros_app"), mavlink="udpout:host.docker.internal:14550")
+    found = guide["services"]["phm"]
+    mounts = dict(reversed(one.split(":")[:2]) for one in found["volumes"])
+    read = loads(own["phm.yaml"], environ=found["environment"])
+    assert (mounts[read.host.dev_root], mounts[read.pressure.cgroups]) == ("/dev", "/sys/fs/cgroup")
+    assert read.host.dev_root == "/host/dev"
+    assert found["extra_hosts"] == service(own)["extra_hosts"]
+    assert set(guide["volumes"]) == {mounts["/var/log/phm"], mounts["/var/lib/phm"]}
