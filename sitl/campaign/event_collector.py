@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 
 from phm.wire.report import OK_LEVELS
 from sitl.campaign.trial import Act, Alarm, RaisedWarning, Start, Summary, Trial
@@ -11,6 +11,9 @@ from sitl.harness.log_follower import Event
 SHARED = "host/"
 """Units about the machine that all agents of a swarm share; their levels say nothing about one agent."""
 BAD_LEVELS = ("WARN", "ERROR")
+CPU = "host/cpu"
+CPU_AFTER_S = 45.0
+"""What an overload did to an application that was started in it, PHM has reported up to 25 s after its end."""
 MEMORY = ("companion", "WARN")
 """PHM reports for a while that it restarted or was suspended; after this time it is OK again."""
 
@@ -119,6 +122,10 @@ class Levels:
         self.reported = False
         self.since = 0.0
         """When this life of PHM began, in seconds of the monotonic clock."""
+        self.cpu_high: float | None = None
+        """When PHM last said that the CPU of the machine is busy (monotonic seconds)."""
+        self._blocked: set[str] = set()
+        """Units that wait for the end of a fault elsewhere than at the machine."""
         self.newest = 0.0
         """When its newest event happened (monotonic seconds)."""
 
@@ -128,8 +135,11 @@ class Levels:
             self.units.clear()
             self.reported, self.since = False, event["mono"]
         elif kind in ("transition", "unit"):
-            starved = self._busy and str(event.get("blocked_by", "")).startswith(SHARED)
-            self.units[event["unit"]] = "OK" if starved else event["level"]
+            unit, level, blocked_by = event["unit"], event["level"], str(event.get("blocked_by") or "")
+            if unit == CPU and (level in BAD_LEVELS or self.units.get(unit) in BAD_LEVELS):
+                self.cpu_high = event["mono"]
+            (self._blocked.add if blocked_by and not blocked_by.startswith(SHARED) else self._blocked.discard)(unit)
+            self.units[unit] = "OK" if self._busy and blocked_by.startswith(SHARED) else level
         elif kind == "fault_opened":
             self.open[event["fault"]] = event["unit"]
         elif kind == "fault_closed":
@@ -154,6 +164,27 @@ class Levels:
             and (unit, level) != MEMORY
         ]
         return found + [f"{unit} is not judged" for unit in usual if unit not in self.units]
+
+    def undecided(self, usual: Mapping[str, str], known: Container[str], now: float) -> list[str]:
+        """Units that may become a fault, as text: WARN or STALE, other than those of the `known` faults and what these block. For
+        CPU_AFTER_S after a busy CPU it is undecided what that did.
+        """
+        if not self.reported:
+            return ["no report yet"]
+        found = [
+            f"{unit} is {level}"
+            for unit, level in self.units.items()
+            if level in ("WARN", "STALE")
+            and level != usual.get(unit)
+            and unit not in known
+            and unit not in self._blocked
+            and not unit.startswith(SHARED)
+            and (unit, level) != MEMORY
+        ]
+        lasts = self.units.get(CPU) in BAD_LEVELS
+        if not self._busy and self.cpu_high is not None and (lasts or now - self.cpu_high < CPU_AFTER_S):
+            found.append(f"{CPU} was bad")
+        return found
 
     def as_usual(self) -> dict[str, str]:
         """The present levels, for `not_ok` later: with nothing injected, some units may be unknown permanently."""

@@ -10,7 +10,7 @@ from sitl.campaign.evidence import RATIO, UNEXPLAINED, compared
 from sitl.campaign.groups import Group
 from sitl.campaign.metrics import Figures
 from sitl.campaign.table import Rows, number
-from sitl.campaign.verdict import FLOOR_S, ScoredTrial, Verdict
+from sitl.campaign.verdict import FLOOR_S, ScoredTrial, Verdict, counted
 
 CLASSES = (
     "fault",
@@ -229,9 +229,14 @@ def remarks(each: ScoredTrial, verdict: Verdict) -> list[str]:
     if verdict.before:
         found.append(f"before the fault: {', '.join(dict.fromkeys(alarm.unit for alarm in verdict.before))}")
     found += [f"no alarm at {unit}" for unit in verdict.lacking if not verdict.wrong or unit != fault.unit]
-    if verdict.excess:
+    if verdict.after:
+        units = ", ".join(dict.fromkeys(alarm.unit for alarm in verdict.after))
+        found.append(f"alarms after it was cleared, which clearing has not caused: {units}")
+    if counted(verdict.alarms) > verdict.expected:
         extra = [alarm.unit for alarm in verdict.alarms if alarm.unit not in (fault.unit, *fault.also)]
-        found.append(f"alarms: {verdict.count}, expected {verdict.expected}: {', '.join(extra) or 'reported again'}")
+        found.append(
+            f"alarms: {counted(verdict.alarms)}, expected {verdict.expected}: {', '.join(extra) or 'reported again'}"
+        )
     if each.trial.kind == "trial":
         found += _recovery_remarks(verdict)
     if each.trial.healthy_after is None:

@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
+from docker.errors import DockerException
+
 from sitl.campaign.fault_catalog import explained, injection
 from sitl.campaign.plan import Draw
 from sitl.campaign.profiles import Profile
@@ -68,11 +70,15 @@ class Injector:
         for each in reversed(injections):
             if each.asked is None:
                 continue
+            agent = self._agents[each.agent]
+            before = _generations(agent)
             each.cleared = time.monotonic()
             try:
-                self._faults[each.fault].clear(self._agents[each.agent])
+                self._faults[each.fault].clear(agent)
             except Exception as error:  # the trial reports it; the swarm is restored by force if necessary
                 each.error = f"clear: {type(error).__name__}: {error}"
+            after = _generations(agent)
+            each.renewed = None if before is None or after is None else before != after
 
     def _inject_all(self, mine: Sequence[Injection]) -> None:
         for each in mine:
@@ -84,3 +90,11 @@ class Injector:
                 each.moment = fault.inject(agent)
             except Exception as error:  # one that cannot be injected is reported, and does not end the campaign
                 each.error = f"{type(error).__name__}: {error}"
+
+
+def _generations(agent: Agent) -> frozenset[str] | None:
+    """None: not known now."""
+    try:
+        return agent.generations
+    except (DockerException, LookupError, OSError):
+        return None

@@ -12,7 +12,7 @@ from sitl.campaign.attempts import Attempt, attempts
 from sitl.campaign.scoring import judge
 from sitl.campaign.stats import Stats, rank, stats
 from sitl.campaign.trial import NOMINAL, OFF, TRIAL, Alarm, Cost, Injection, RaisedWarning, Trial
-from sitl.campaign.verdict import ENDINGS, ScoredTrial, Verdict
+from sitl.campaign.verdict import ENDINGS, ScoredTrial, Verdict, counted
 
 __all__ = ["ClassMetrics", "Figures", "Stats", "figures", "rank", "stats"]
 
@@ -234,12 +234,13 @@ def _of_class(first: Injection, verdicts: Sequence[Verdict]) -> ClassMetrics:
 
 
 def _alarms(verdicts: Iterable[Verdict]) -> float | None:
-    """Alarms per expected alarm, of the reported faults only. One is the least: neither a missed fault nor one with too
-    few alarms compensates for a chain.
+    """Alarms per expected alarm of the reported faults. One is the least: neither a missed fault nor one with too few
+    alarms compensates for a chain. Alarms after a missed fault was cleared are too many, too.
     """
-    reported = [verdict for verdict in verdicts if not verdict.missed]
-    due = sum(verdict.expected for verdict in reported)
-    return 1 + sum(verdict.excess for verdict in reported) / due if due else None
+    known = list(verdicts)
+    due = sum(verdict.expected for verdict in known if not verdict.missed)
+    excess = sum(counted(verdict.after) if verdict.missed else verdict.excess for verdict in known)
+    return 1 + excess / due if due else None
 
 
 def _part(verdicts: Iterable[Verdict], wanted: Callable[[Verdict], bool]) -> float | None:

@@ -23,6 +23,7 @@ from sitl.campaign.profiles import Profile
 from sitl.campaign.scoring import judge
 from sitl.campaign.swarm_watcher import GroundListener, SwarmWatcher
 from sitl.campaign.trial import ABORTED, NOMINAL, OFF, TRIAL, Trial
+from sitl.campaign.verdict import places
 from sitl.faults.base import Fault
 from sitl.harness.log_queries import container_state
 from sitl.swarm import config
@@ -33,6 +34,8 @@ POLL_S = 0.05
 INJECTED_LIMIT_S = 90.0
 AFTER_S = 10.0
 """How long a trial is watched after its faults are recovered or reported: longer than any grace, so late alarms are caught."""
+DECIDED_LIMIT_S = 75.0
+"""How long clearing waits after that for a unit that may still become a fault: its alarm would be taken for one of clearing."""
 STILL_S = 10.0
 """How long nothing may change with recovery off."""
 HEALTHY_LIMIT_S = 120.0
@@ -205,6 +208,7 @@ class Runner:
             self._inject(trial, plan.draws)
             self._wait(partial(self._done, trial), self._recovered_limit_s(trial))
             self._wait(lambda: False, AFTER_S)
+            self._wait(partial(self._decided, trial), DECIDED_LIMIT_S)
         finally:
             self._clear(trial)
         self._await_records([draw.agent for draw in plan.draws if self.faults[draw.fault].delays_record])
@@ -284,6 +288,16 @@ class Runner:
             elif (fault.healable or fault.passes) and verdict.detected_s is not None:
                 return False
         return True
+
+    def _decided(self, trial: Trial) -> bool:
+        """Whether no unit of an agent with faults may still become a fault."""
+        now = time.monotonic()
+        known: dict[int, set[str]] = {}
+        for each in trial.injections:
+            known.setdefault(each.agent, set()).update(places(each))
+        return not any(
+            self.watch.levels[agent].undecided(self.watch.usual[agent], units, now) for agent, units in known.items()
+        )
 
     def ready_at(self, draws: Sequence[Draw]) -> float:
         """When these may be injected (monotonic seconds)."""

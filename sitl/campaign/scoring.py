@@ -6,10 +6,14 @@ from collections.abc import Sequence, Set
 
 from sitl.campaign import application_alarms
 from sitl.campaign.disturbance import disturbed
+from sitl.campaign.fault_catalog import EXPLAINS
 from sitl.campaign.host_load import confirmed
 from sitl.campaign.times import measure
 from sitl.campaign.trial import Alarm, Injection, RaisedWarning, Trial
 from sitl.campaign.verdict import BESIDE, PEERS, ScoredTrial, Verdict, due, expects, until
+
+ABOUT_TOPICS = frozenset({"consensus", "data", "rates"})
+"""Checks whose alarms are about topics, too."""
 
 
 def judge(trial: Trial) -> ScoredTrial:
@@ -27,8 +31,10 @@ def judge(trial: Trial) -> ScoredTrial:
     clearing: list[Alarm | RaisedWarning] = []
     for alarm in sorted(trial.alarms, key=lambda each: each.mono):
         owner = _owner(alarm, verdicts)
-        if owner is not None:
-            (owner.alarms if alarm.mono <= until(owner.injection) else clearing).append(alarm)
+        if owner is not None and alarm.mono <= until(owner.injection):
+            owner.alarms.append(alarm)
+        elif owner is not None:
+            (clearing if _by_clearing(alarm, owner.injection, verdicts) else owner.after).append(alarm)
         elif alarm.unit.startswith(BESIDE) and confirmed(alarm, trial.machine):
             beside.append(alarm)
         elif application_alarms.confirmed(alarm, trial.broken):
@@ -76,7 +82,9 @@ def _warned(verdict: Verdict, trial: Trial) -> list[RaisedWarning]:
 
 
 def _owner(alarm: Alarm, verdicts: Sequence[Verdict]) -> Verdict | None:
-    """The fault that an alarm belongs to: at its unit; about its agent as a peer; on its agent, of its group first."""
+    """The fault that an alarm belongs to: at its unit; about its agent as a peer; on its agent, of its group first, then one that
+    causes such alarms, then the first one injected.
+    """
     begun = [verdict for verdict in verdicts if alarm.mono >= _asked(verdict.injection)]
     for verdict in begun:
         if expects(verdict.injection, alarm):
@@ -87,9 +95,24 @@ def _owner(alarm: Alarm, verdicts: Sequence[Verdict]) -> Verdict | None:
         return next((verdict for verdict in begun if _about(alarm, verdict.injection)), None)
     on_board = [verdict for verdict in begun if verdict.injection.agent == alarm.agent]
     check = alarm.unit.partition("/")[0]
-    return next(
-        (verdict for verdict in on_board if verdict.injection.group == check), on_board[0] if on_board else None
-    )
+    kind = "topics" if check in ABOUT_TOPICS else check
+    return min(on_board, key=lambda each: _far(each.injection.group, kind), default=None)
+
+
+def _far(group: str, kind: str) -> int:
+    """How likely a fault of this group causes an alarm of this kind: 0 is the most likely."""
+    if group == kind:
+        return 0
+    causes = group == "container" or kind in EXPLAINS.get(group, ()) or (group, kind) == ("nodes", "topics")
+    return 1 if causes else 2
+
+
+def _by_clearing(alarm: Alarm, fault: Injection, verdicts: Sequence[Verdict]) -> bool:
+    """Whether clearing caused it: a container was recreated or started, or the fault was not over and the alarm is at its own unit,
+    which sees how it is ended.
+    """
+    renewed = any(each.injection.renewed for each in verdicts if each.injection.agent in (alarm.agent, fault.agent))
+    return renewed or (fault.world is None and expects(fault, alarm))
 
 
 def _asked(fault: Injection) -> float:

@@ -56,6 +56,8 @@ class Injection:
     """When the fault began, never too late, as `Fault.inject` returns it; None: the injection failed."""
     cleared: float | None = None
     """When `clear` was called."""
+    renewed: bool | None = None
+    """Whether `clear` recreated or started a container of the agent; None: not recorded."""
     error: str = ""
     explained_by: str = ""
     """Name of another fault of this trial on this agent which causes this one's symptoms: its alarm reports both."""

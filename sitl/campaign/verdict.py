@@ -38,6 +38,8 @@ class Verdict:
     injection: Injection
     expected: int
     alarms: list[Alarm] = field(default_factory=list)
+    after: list[Alarm] = field(default_factory=list)
+    """Alarms after it was cleared that clearing has not caused, e.g. of damage by its recovery: too many, and they detect nothing."""
     detected_s: float | None = None
     response_s: float | None = None
     logged_s: float | None = None
@@ -97,12 +99,12 @@ class Verdict:
     @property
     def count(self) -> int:
         """The number of alarms; reports of several agents about the same peer count once."""
-        return counted(self.alarms)
+        return counted(self.alarms) + counted(self.after)
 
     @property
     def excess(self) -> int:
         """Alarms more than expected."""
-        return max(0, self.count - self.expected)
+        return max(0, counted(self.alarms) - self.expected) + counted(self.after)
 
     @property
     def lacking(self) -> list[str]:
@@ -193,7 +195,7 @@ class Verdict:
 class ScoredTrial:
     """A trial: its faults and the alarms that belong to none of them: false ones; `beside`, about the shared machine, that its
     measured load confirms; `app_broken`, about an application that was observed not to work without a fault; and those that
-    clearing has caused, warnings at the unit of the fault included: a fault that was not recovered is mostly cleared by a restart.
+    clearing has caused, and warnings at the unit of the fault after it: a fault that was not recovered is mostly cleared by a restart.
     """
 
     trial: Trial
@@ -220,7 +222,7 @@ def places(injection: Injection) -> list[str]:
 
 
 def until(injection: Injection) -> float:
-    """When it was cleared, on the monotonic clock; infinite: not yet. What comes later is a consequence of clearing."""
+    """When it was cleared, on the monotonic clock; infinite: not yet. What comes later neither detects nor reports it."""
     return injection.cleared if injection.cleared is not None else math.inf
 
 

@@ -115,6 +115,13 @@ class Agent:
         app = self.app
         return f"{app.id}@{app.attrs['State']['StartedAt']}"
 
+    @property
+    def generations(self) -> frozenset[str]:
+        """Changes exactly when any of its containers is recreated or started again."""
+        label = f"com.docker.compose.project={self.project}"
+        found = self.docker.containers.list(all=True, filters={"label": label}, ignore_removed=True)
+        return frozenset(f"{each.id}@{each.attrs['State']['StartedAt']}" for each in found)
+
     def renew_app(self, generation: str) -> None:
         """Restart the application container if it still is in that run: then it was not recovered."""
         if self.generation == generation:

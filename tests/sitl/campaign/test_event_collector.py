@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
+
 from sitl.campaign.event_collector import Levels, note
 from tests.fakes.campaign_trials import trial
 
@@ -92,3 +94,39 @@ def test_on_a_busy_machine_a_unit_may_be_stale_for_that() -> None:
         assert levels.not_ok({"nodes/a": "OK"}) == found
         levels.take(event("transition", 3.0, level="STALE", blocked_by="container/a"))
         assert levels.not_ok({"nodes/a": "OK"}) == ["nodes/a is STALE"]
+
+
+@pytest.mark.parametrize(
+    ("unit", "level", "more", "undecided"),
+    [
+        ("consensus", "STALE", {}, True),
+        ("consensus", "WARN", {}, True),
+        ("consensus", "OK", {}, False),
+        ("consensus", "ERROR", {}, False),  # it has an alarm
+        ("consensus", "STALE", {"blocked_by": "container/ros_app"}, False),
+        ("consensus", "STALE", {"blocked_by": "host/cpu"}, True),
+        ("nodes/a", "WARN", {}, False),  # of the fault itself
+        ("host/memory", "WARN", {}, False),
+        ("companion", "WARN", {}, False),  # PHM remembers its restart
+    ],
+)
+def test_a_unit_that_may_become_a_fault_is_undecided(
+    unit: str, level: str, more: dict[str, str], undecided: bool
+) -> None:
+    """Not what is OK, has its alarm, belongs to the fault or waits for the end of one."""
+    levels = Levels()
+    assert levels.undecided({}, (), 9.0) == ["no report yet"]
+    levels.take({"event": "report", "mono": 1.0})
+    levels.take({"event": "unit", "mono": 2.0, "unit": unit, "level": level, **more})
+    assert bool(levels.undecided({}, {"nodes/a"}, 9.0)) is undecided
+    assert not levels.undecided({unit: level}, {"nodes/a"}, 9.0), "it is usual"
+
+
+def test_for_a_while_after_a_busy_cpu_all_is_undecided() -> None:
+    """Unless the machine is meant to be busy."""
+    for busy in (False, True):
+        levels = Levels(busy=busy)
+        levels.take({"event": "report", "mono": 1.0})
+        for mono, level in ((2.0, "WARN"), (30.0, "OK"), (50.0, "OK")):
+            levels.take({"event": "transition", "mono": mono, "unit": "host/cpu", "level": level})
+        assert [bool(levels.undecided({}, (), now)) for now in (60.0, 76.0)] == [not busy, False]

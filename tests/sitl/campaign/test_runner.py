@@ -263,3 +263,27 @@ def test_a_trial_has_the_differences_that_it_made(runner: Runner, monkeypatch: p
     with pytest.raises(RuntimeError):
         runner.trial(PLAN)
     assert runner.aborted("trial", 4, error).differences == [{"key": "b"}]
+
+
+def test_a_fault_is_not_cleared_before_everything_is_decided(
+    runner: Runner, steps: Steps, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An alarm of what the recovery left behind must come before the clearing."""
+
+    def wait(wanted: Callable[[], bool], limit_s: float) -> bool:
+        return steps.note(f"decided {wanted()}") if limit_s == campaign_runner.DECIDED_LIMIT_S else True
+
+    monkeypatch.setattr(runner, "_wait", wait)
+    monkeypatch.setattr(runner, "_clear", lambda made: steps.done.append("clear"))
+    levels = runner.watch.levels[1]
+    for event in ({"event": "report"}, {"event": "unit", "unit": "consensus", "level": "STALE"}):
+        levels.take({"mono": time.monotonic(), **event})
+    runner.trial(PLAN)
+    levels.take({"mono": time.monotonic(), "event": "transition", "unit": "consensus", "level": "OK"})
+    runner.trial(PLAN)
+    assert [each for each in steps.done if each.startswith(("decided", "clear"))] == [
+        "decided False",
+        "clear",
+        "decided True",
+        "clear",
+    ]

@@ -59,7 +59,7 @@ def test_a_side_effect_of_the_injector_belongs_to_its_fault() -> None:
 
 def test_a_side_effect_of_clearing_is_not_counted() -> None:
     """A restart that clears a fault may raise an alarm: listed, but counted neither for the fault nor as false."""
-    judged = judge(trial(alarms=[alarm(0.4), alarm(20.5, "container/ros_app")]))
+    judged = judge(trial(injections=[injection(renewed=True)], alarms=[alarm(0.4), alarm(20.5, "container/ros_app")]))
     assert (judged.verdicts[0].count, judged.false, [each.unit for each in judged.clearing]) == (
         1,
         [],

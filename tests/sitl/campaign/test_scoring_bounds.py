@@ -300,3 +300,41 @@ def test_a_phm_that_came_back_unreported_is_back() -> None:
     gone = injection(unit="companion", condition="phm_restarted", layer="companion", phm=True, level="WARN")
     verdict = only(trial(injections=[gone], alarms=[], acts=[], starts=[Start(3, T0 + 1.5, T0 + 3)]))
     assert (verdict.missed, verdict.claimed_s, verdict.ended_by) == (True, 3.0, PHM)
+
+
+@pytest.mark.parametrize("renewed", [False, None])
+def test_an_alarm_after_a_clearing_that_changed_nothing_counts(renewed: bool | None) -> None:
+    """The fault was over, so it is damage of the recovery: one alarm too many, and neither a detection nor false."""
+    faults = [injection(renewed=renewed)]
+    judged = judge(trial(injections=faults, alarms=[alarm(0.4), alarm(26.0, "consensus")]))
+    (verdict,) = judged.verdicts
+    assert (judged.clearing, judged.false, verdict.excess, verdict.detected_s) == ([], [], 1, pytest.approx(0.4))
+    assert any("after it was cleared" in each and "consensus" in each for each in remarks(judged, verdict))
+    assert figures([judged.trial]).alarms_per_fault == 2.0
+    again = judge(trial(injections=faults, alarms=[alarm(0.4), alarm(26.0)]))
+    assert (again.clearing, again.verdicts[0].excess) == ([], 1), "its own unit, where the world was restored before"
+    missed = only(trial(injections=faults, alarms=[alarm(26.0, "consensus")], acts=[]))
+    assert (missed.missed, missed.excess) == (True, 1)
+    assert figures([trial(injections=faults, alarms=[alarm(26.0)], acts=[]), trial(number=2)]).alarms_per_fault == 2.0
+
+
+def test_what_clearing_has_ended_may_be_reported_at_its_own_unit() -> None:
+    """E.g. a clock that is set back steps again: the world was not restored before."""
+    judged = judge(trial(injections=[injection(world=None)], alarms=[alarm(0.4), alarm(21.0)]))
+    assert ([each.unit for each in judged.clearing], judged.verdicts[0].excess) == ([NODE], 0)
+
+
+@pytest.mark.parametrize("last", [False, True])
+def test_an_alarm_belongs_to_the_fault_that_causes_it(last: bool) -> None:
+    """A blocked network silences topics, a missing file does not, whichever was injected first (as found, seed 4, trial 5)."""
+    file = injection(fault="file_deleted", unit="files/ros_app", condition="file_missing", group="files")
+    blocked = injection(
+        fault="transport_blocked", unit="network/ros_app", condition="transport_blocked", group="network"
+    )
+    silent = [alarm(3.5, f"rates/agent_3/topic_{number}", conditions=["topic_silent"]) for number in (1, 2, 3)]
+    alarms = [alarm(0.5, "files/ros_app", conditions=["file_missing"]), *silent]
+    judged = judge(trial(injections=[file, blocked] if last else [blocked, file], alarms=alarms, acts=[]))
+    found = {each.injection.fault: each for each in judged.verdicts}
+    assert (found["file_deleted"].excess, found["file_deleted"].right) == (0, True)
+    assert (found["transport_blocked"].missed, found["transport_blocked"].count) == (False, 3)
+    assert found["transport_blocked"].wrong.startswith("reported at rates/agent_3/topic_1")

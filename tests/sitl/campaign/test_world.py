@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 from unittest.mock import Mock
 
 import pytest
-from docker.errors import APIError
+from docker.errors import APIError, DockerException
 
 from sitl.campaign.cost_meter import CostMeter, cpu_of
 from sitl.campaign.injector import Injector
@@ -225,6 +225,26 @@ def test_a_cause_that_was_not_injected_explains_nothing() -> None:
         injector.inject(made, lambda futures: None)
         assert made[0].explained_by == cause
         injector.stop()
+
+
+@pytest.mark.parametrize(("after", "renewed"), [("10:02", True), ("10:01", False), (None, None)])
+def test_a_clearing_that_starts_a_container_is_recorded(after: str | None, renewed: bool | None) -> None:
+    """By the times at which the engine has started the containers of the agent; None: they are not known."""
+    app = Mock(id="a", attrs={"State": {"StartedAt": "10:01"}})
+
+    class Cleared(Observed):
+        def clear(self, agent: Agent) -> None:
+            app.attrs = {"State": {"StartedAt": after}}
+            if after is None:
+                agent.docker.containers.list.side_effect = DockerException("away")  # type: ignore[attr-defined]
+
+    engine = Mock(**{"containers.list.return_value": [app]})
+    agents = {3: Agent("p", "agent_3", docker=engine, number=3)}
+    injector = Injector({"node_killed": Cleared(None)}, agents, ALL["shipped"], lambda agent, unit: False)
+    injector._world = Mock()
+    made = injection(asked=1.0, cleared=None)
+    injector.clear([made])
+    assert (made.renewed, made.error) == (renewed, "")
 
 
 def cgroup(folder: Path, cpu_s: float) -> None:
