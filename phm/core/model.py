@@ -13,6 +13,10 @@ from enum import Enum, IntEnum
 Value = str | int | float | bool | None
 """Types allowed in a result's `values`: those that JSON represents without loss."""
 Values = Mapping[str, Value]
+NOT_OBSERVED = frozenset({"configuration", "timeout"})
+"""`Fault.by` of a fault that was closed although no one had observed its unit again: how long it lasted is not known."""
+NO_ACTION = NOT_OBSERVED | {"", "itself", "reboot"}
+"""`Fault.by` of a fault that no action of PHM ended."""
 ON_HOLD = "on_hold"
 """Condition of a STALE unit whose target is on hold: the unit is bad intentionally, so this is not a fault."""
 

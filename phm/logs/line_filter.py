@@ -80,14 +80,16 @@ NOTHING = TakeOff((object(), 0))
 def take_off(reader: LogReader) -> TakeOff | None:
     """The gate for the last flight in the log; None: there is no flight in it. Reads the log.
 
-    After a restart in flight the log has a second beginning of the same flight: the first counts.
+    After a restart in flight the log has a second beginning of the same flight: the first counts. The number alone does not
+    tell: numbers begin again when `state_dir` was lost.
     """
     found: tuple[object, object, int] | None = None
     for line in reader.lines(last=True):
         event = json_log.parse(line) if _FLIGHT in line else None
         if event is None or not _begins(event):
             continue
-        if found is None or event.get("number") != found[0]:
+        goes_on = event.get("continued") is True and found is not None and event.get("number") == found[0]
+        if not goes_on:
             found = (event.get("number"), event.get("boot_id"), int(number(event.get("seq"))))
     return None if found is None else TakeOff(found[1:])
 

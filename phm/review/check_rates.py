@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from phm.core.model import NO_ACTION, NOT_OBSERVED, Phase
 from phm.review.statistics import rate_limits
 
 Json = dict[str, Any]
@@ -38,12 +39,12 @@ def rows(faults: Sequence[Json], observed_s: Mapping[str, float]) -> list[Json]:
 
 
 def _row(check: str, faults: Sequence[Json], observed_s: float) -> Json:
-    times = [fault["lasted_s"] for fault in faults if fault["closed"] is not None and fault["outcome"] == "resolved"]
+    times = repair_times(fault for fault in faults if fault["closed"] is not None)
     low, high = rate_limits(len(faults), observed_s)
     return {
         "check": check,
         "faults": len(faults),
-        "resolved": len(times),
+        "resolved": sum(fault["closed"] is not None and fault["outcome"] == "resolved" for fault in faults),
         "by_action": sum(by_action(fault) for fault in faults),
         "observed_s": round(observed_s, 3),
         "mtbf_s": round(observed_s / len(faults), 3) if faults else None,
@@ -56,4 +57,10 @@ def _row(check: str, faults: Sequence[Json], observed_s: float) -> Json:
 
 def by_action(fault: Json) -> bool:
     """Whether an action of PHM has ended it, by PHM's record."""
-    return fault["outcome"] == "resolved" and fault["by"] not in ("", "itself") and bool(fault["steps"])
+    begun = {step["action"] for step in fault["steps"] if step["phase"] == Phase.STARTED.value}
+    return fault["outcome"] == "resolved" and fault["by"] not in NO_ACTION and fault["by"] in begun
+
+
+def repair_times(faults: Iterable[Json]) -> list[float]:
+    """How long the resolved ones lasted, as far as their end was observed."""
+    return [each["lasted_s"] for each in faults if each["outcome"] == "resolved" and each["by"] not in NOT_OBSERVED]

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from phm.review.check_rates import opened
+from phm.review.check_rates import opened, repair_times
 from phm.review.sentences import vehicles
 from phm.review.statistics import same_rate
 
@@ -79,7 +79,7 @@ def _faults(document: Json, other: Json) -> dict[str, tuple[int, float, float | 
     rows: dict[str, tuple[int, float, float | None]] = {}
     for name, known in {**elsewhere, **found}.items():
         faults = found.get(name, [])
-        times = [fault["lasted_s"] for fault in faults if fault["outcome"] == "resolved"]
+        times = repair_times(faults)
         rows[name] = (len(faults), ran_s.get(known[0]["check"], 0.0), sum(times) / len(times) if times else None)
     return rows
 

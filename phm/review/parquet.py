@@ -70,12 +70,14 @@ MTBF = """
 SELECT observed."check", coalesce(count, 0) AS faults, observed_s, observed_s / nullif(count, 0) AS mtbf_s, mttr_s, runs
 FROM (SELECT "check", sum(observed_s) AS observed_s, count(*) AS runs
       FROM read_parquet($checks, hive_partitioning = true) GROUP BY "check") AS observed
-LEFT JOIN (SELECT "check", count(*) AS count, avg(lasted_s) FILTER (outcome = 'resolved') AS mttr_s
+LEFT JOIN (SELECT "check", count(*) AS count, avg(lasted_s) FILTER (
+          outcome = 'resolved' AND "by" NOT IN ('configuration', 'timeout')) AS mttr_s
            FROM read_parquet($faults, hive_partitioning = true)
            WHERE outcome <> 'reattributed' AND NOT continued GROUP BY "check") AS failed
 USING ("check") ORDER BY faults DESC, observed."check"
 """
-"""MTBF and MTTR of each check over all runs of a dataset; $checks and $faults are lists of its files."""
+"""MTBF and MTTR of each check over all runs of a dataset; $checks and $faults are lists of its files. The names are those of
+`phm.core.model.NOT_OBSERVED`."""
 _WITHOUT_FAULTS = """
 SELECT "check", 0, sum(observed_s), NULL, NULL, count(*)
 FROM read_parquet($checks, hive_partitioning = true) GROUP BY "check" ORDER BY "check"

@@ -6,7 +6,7 @@ import re
 from collections import Counter
 from typing import Any
 
-from phm.review.check_rates import by_action, counted, opened
+from phm.review.check_rates import by_action, counted, opened, repair_times
 from phm.wire.report import clock_text
 
 Json = dict[str, Any]
@@ -62,7 +62,7 @@ def _faults(document: Json) -> str:
         return "There was no fault."
     actions = sum(by_action(fault) for fault in faults)
     resolved = sum(fault["outcome"] == "resolved" for fault in faults)
-    times = [fault["lasted_s"] for fault in faults if fault["outcome"] == "resolved"]
+    times = repair_times(faults)
     mean = f", after {length(sum(times) / len(times))} on average" if times else ""
     head = f"There {'was' if len(faults) == 1 else 'were'} {_count(len(faults), 'fault')}"
     return f"{head}: {actions} ended by an action of PHM and {resolved - actions} otherwise{mean}."

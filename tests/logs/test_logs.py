@@ -52,14 +52,14 @@ def log_of(folder: Path, name: str = "agent_1", **more: Any) -> LogReporter:
     return LogReporter.build(context(Settings.model_validate(made)))
 
 
-def flying(folder: Path, armed: list[bool]) -> LogReporter:
+def flying(folder: Path, armed: list[bool], boot: str = "boot12345678") -> LogReporter:
     """armed: one value, whether the autopilot is armed."""
     made = {"log": {"directory": str(folder)}, "state_dir": str(folder / "state")}
     return LogReporter(
         ReporterContext(
             reporter_settings(Settings.model_validate(made)),
             SystemClock(),
-            "boot12345678",
+            boot,
             tuple,
             lambda: True,
             dict,
@@ -152,6 +152,17 @@ def test_take_off_is_the_beginning_of_the_last_flight(tmp_path: Path) -> None:
     found = events(tmp_path, "--since", "take-off")
     assert [event.get("text") for event in found][1:] == ["in flight"]
     assert found[0]["event"] == "flight" and found[0]["number"] == 2
+
+
+def test_take_off_is_not_that_of_an_earlier_flight_with_the_same_number(tmp_path: Path) -> None:
+    """`state_dir` was lost, so the numbers began again."""
+    for text in ("first", "second"):
+        log = flying(tmp_path, [True], boot=text)
+        log.tick()
+        log.handle(note(text))
+        log.close()
+        (tmp_path / "state" / "flight.json").unlink()
+    assert [event.get("text") for event in events(tmp_path, "--since", "take-off")][1:] == ["second"]
 
 
 def test_without_a_flight_take_off_is_an_error(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ from collections import OrderedDict
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from phm.core.model import Level, Outcome, Stamp
+from phm.core.model import NO_ACTION, Level, Outcome, Stamp
 from phm.gcs.samples import EACH_S, RADIO, TOPIC
 from phm.gcs.web import agent_row
 from phm.gcs.web.events import GRADES
@@ -192,7 +192,7 @@ class StatusRecorder:
         outcome, by = ("", "") if body is None else (str(body["outcome"]), agent_row.text(body["by"]))
         closed = None if body is None or outcome == Outcome.ESCALATED else agent_row.utc_seconds(body.get("closed"))
         entry.ended = at.utc if closed is None else max(closed, entry.at)
-        acted = outcome == Outcome.RESOLVED and by not in ("", "itself", "reboot")
+        acted = outcome == Outcome.RESOLVED and by not in NO_ACTION
         words = f"resolved by {by}" if outcome == Outcome.RESOLVED and by else outcome or "no longer reported"
         if outcome == Outcome.ESCALATED:
             words = "no longer bad"
