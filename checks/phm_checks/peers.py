@@ -81,7 +81,7 @@ class Peers(api.Check):
 
     def _split(self, fact: api.SwarmFact) -> list[api.Result]:
         lost = [agent for agent, peer in fact.peers.items() if peer.state == "lost"]
-        if not fact.split or len(lost) >= len(fact.peers):
+        if not fact.split or len(lost) >= len(_received(fact)):
             self._away = frozenset()
             return []
         away = [(agent, fact.peers[agent]) for agent in self._away if agent in fact.peers]
@@ -153,8 +153,7 @@ def _duplicate_ids(fact: api.SwarmFact) -> list[api.Result]:
 def _all_peers_lost(fact: api.SwarmFact) -> list[api.Result]:
     """One fault when all others are lost together: the likely cause is this agent's own radio."""
     lost = [agent for agent, peer in fact.peers.items() if peer.state == "lost" and fact.own not in peer.received_by]
-    here = [agent for agent, peer in fact.peers.items() if peer.state != "left"]
-    if len(lost) < 2 or len(lost) < len(here):
+    if len(lost) < 2 or len(lost) < len(_received(fact)):
         return []
     return [
         api.error(
@@ -163,6 +162,11 @@ def _all_peers_lost(fact: api.SwarmFact) -> list[api.Result]:
             condition="all_peers_lost",
         )
     ]
+
+
+def _received(fact: api.SwarmFact) -> list[int]:
+    """The agents that were received and have not left: one that was never switched on says nothing about the network."""
+    return [agent for agent, peer in fact.peers.items() if peer.state not in ("left", "never seen")]
 
 
 def _names(agents: Iterable[int], most: int = 8) -> str:

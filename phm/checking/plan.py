@@ -62,26 +62,48 @@ def unit_rows(plan: CheckPlan) -> list[dict[str, Any]]:
 
 def build_plan(settings: Settings, checks: Mapping[str, type[Check]]) -> CheckPlan:
     """Build the checks that are not disabled, and their plan. Raises `DependencyCycle` when units need each other."""
-    enabled = {name: check for name, check in checks.items() if settings.checks.get(name, CheckSettings()).enabled}
-    return plan_checks(settings, {name: tuple(check.build(settings)) for name, check in enabled.items()})
+    return plan_checks(settings, {name: tuple(check.build(settings)) for name, check in checks.items()})
 
 
 def plan_checks(settings: Settings, built: Mapping[str, Sequence[Check]]) -> CheckPlan:
-    """The plan for checks that are built, by name; disabled ones are left out. Raises `DependencyCycle`."""
+    """The plan for checks that are built, by name. Raises `DependencyCycle`.
+
+    Disabled ones are left out: who needs a unit of one, needs what that unit needs.
+    """
     instances: list[tuple[Check, CheckSettings]] = []
+    disabled: list[tuple[Check, CheckSettings]] = []
     for name, checks in sorted(built.items(), key=lambda item: (item[1][0].slot if item[1] else 0, item[0])):
         override = settings.checks.get(name, CheckSettings())
-        if override.enabled:
-            instances.extend((check, override) for check in checks)
+        (instances if override.enabled else disabled).extend((check, override) for check in checks)
     by_check: dict[str, list[str]] = {}
-    for check, _ in instances:
+    for check, _ in (*instances, *disabled):
         by_check.setdefault(check.name, []).extend(unit.id for unit in check.units)
     scheduled = tuple(_schedule(check, override, settings.interval) for check, override in instances)
     tracked = tuple(entry for check, override in instances for entry in _track(check, override, by_check))
+    known = {entry.unit.id for entry in tracked}
+    skipped = {
+        entry.unit.id: entry.needs
+        for check, override in disabled
+        for entry in _track(check, override, by_check)
+        if entry.unit.id not in known
+    }
+    tracked = tuple(replace(entry, needs=_without(skipped, entry)) for entry in tracked)
     graph = graph_of(tracked)
     critical = (entry.key for entry in settings.containers if entry.flight_critical)
     relieved = frozenset(critical if settings.recovery.relieve else ())
     return CheckPlan(scheduled, _with_starved_by(tracked, graph, relieved), graph)
+
+
+def _without(skipped: Mapping[str, Sequence[str]], entry: TrackedUnit) -> tuple[str, ...]:
+    """The needs of a unit, with those of each skipped unit in its place."""
+    found: dict[str, None] = {}
+    waiting = list(entry.needs)
+    while waiting:
+        need = waiting.pop(0)
+        if need not in found:
+            found[need] = None
+            waiting[:0] = skipped.get(need, ())
+    return tuple(need for need in found if need not in skipped and need != entry.unit.id)
 
 
 def _with_starved_by(

@@ -51,3 +51,21 @@ def test_pressure_that_recovery_can_relieve_is_a_separate_fault(relieve: list[st
     by = starved_by(relieve=relieve)
     assert (by["pressure/nav"] == ()) is alone
     assert by["pressure/video"] != ()
+
+
+def test_without_a_check_its_dependents_need_what_it_needs() -> None:
+    """A rate needs the nodes of its topic and their container, also if the topics are not checked."""
+    settings = testing.settings(**CONFIG, checks={"topics": {"enabled": False}})
+    made = plan.build_plan(settings, registry.checks())
+    assert "topics/image" not in {entry.unit.id for entry in made.tracked}
+    assert {"container/nav", "container/video", "nodes/planner", "nodes/camera"} <= set(
+        made.graph.upstream("rates/image")
+    )
+
+
+def test_several_disabled_checks_in_a_row_are_skipped_together() -> None:
+    """The needs of their needs remain."""
+    disabled = {name: {"enabled": False} for name in ("topics", "nodes")}
+    made = plan.build_plan(testing.settings(**CONFIG, checks=disabled), registry.checks())
+    above = made.graph.upstream("rates/image")
+    assert "container/video" in above and not any(name.startswith(("topics/", "nodes/")) for name in above)

@@ -109,6 +109,13 @@ def test_losing_all_agents_is_a_fault_of_the_own_radio() -> None:
     assert (result.condition, result.brief) == ("all_peers_lost", "all peers lost")
 
 
+@pytest.mark.parametrize("other", [PeerFact("never seen", None), PeerFact("left", 70.0)])
+def test_an_agent_that_is_not_there_does_not_make_a_split_of_it(other: PeerFact) -> None:
+    """It was never switched on, or has left: all that could be received were lost."""
+    result = evaluate({2: LOST, 3: LOST, 4: other}, split=(2, 3))[SWARM]
+    assert (result.condition, result.brief) == ("all_peers_lost", "all peers lost")
+
+
 def test_an_agent_that_receives_others_is_not_isolated() -> None:
     """Regardless of what these report of each other."""
     partly_lost = PeerFact("lost", 1.0, (1,), (2, 3))
