@@ -135,7 +135,7 @@ def _status(agent: int, how: PeerState, views: Mapping[int, PeerView], gcs: bool
     peer = peers.peer(agent)
     assert peer is not None
     received, not_receiving = ([peers.own], []) if how in THERE else ([], [peers.own])
-    never = []
+    never: list[int] = []
     """No votes while another agent receives it: these may have been started a moment ago."""
     for observer, view in views.items():
         if observer == agent:
