@@ -70,13 +70,14 @@ class SwarmMonitor:
         hub.watch(self.wake_if_changed)
 
     def resume(self, before: SwarmMonitor) -> None:
-        """Go on with the agents that the predecessor has received, if the same ones are expected (after a reload): else one that is lost
+        """Go on with the agents that the predecessor has received and that are members still (after a reload): else one that is lost
         would seem to be one that was never there."""
-        if self._expected != before._expected:
-            return
         with before._lock, self._lock:
-            self._peers, self._links, self._since = before._peers, before._links, before._since
-            self._agent_count, self._fresh = before._agent_count, (0.0, None)
+            self._links, self._since, self._fresh = before._links, before._since, (0.0, None)
+            if self._expected == before._expected:
+                self._peers, self._agent_count = before._peers, before._agent_count
+            else:
+                self._peers.take_over(before._peers)
 
     def snapshot(self) -> SwarmFact:
         """The current fact, cached until a frame brings a change or it is FRESH_S old (in a small swarm a tenth of the

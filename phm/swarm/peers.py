@@ -134,6 +134,14 @@ class Peers:
         self._fades: deque[tuple[float, float]] = deque(maxlen=8)
         """When a fade ended, and for how long several peers were silent, seconds."""
 
+    def take_over(self, before: Peers) -> None:
+        """Go on with the agents that `before` has received and that are members here too."""
+        for agent, peer in before.all().items():
+            if peer.received_s is not None and (agent in self._expected or not self._listed):
+                if before._period_s != self._period_s:
+                    peer.stats = HeartbeatStats(self._period_s)
+                self._peers[agent] = peer
+
     def heartbeat(
         self, agent: int, word: int, now: float, *, leaving: bool = False, frame: int | None = None, link: str = ""
     ) -> bool:

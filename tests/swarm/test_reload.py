@@ -46,6 +46,22 @@ def test_an_agent_that_is_lost_does_not_become_one_that_was_never_there(
     assert {agent: peer.state for agent, peer in after.snapshot().peers.items()} == expected
 
 
+def test_an_agent_in_both_lists_is_kept() -> None:
+    """It stays lost though the list has another agent now; and an agent that is no longer listed is forgotten."""
+    ports = Ports()
+    before = ports.monitor(1, 2, 4)
+    ports.receive(2)
+    ports.receive(4)
+    ports.clock.advance(600.0)
+    assert before.snapshot().peers[2].state == "lost"
+    after = ports.monitor(1, 2, 3)
+    after.resume(before)
+    peers = after.snapshot().peers
+    assert {agent: peer.state for agent, peer in peers.items()} == {2: "lost", 3: "never seen"}
+    ports.clock.advance(10.0)
+    assert after.snapshot().peers[2].since_s >= 10.0
+
+
 def test_agents_of_another_list_are_not_taken_over() -> None:
     ports = Ports()
     before = ports.monitor(2)
