@@ -20,6 +20,7 @@ from docker.errors import DockerException
 from rich.console import Console
 
 from sitl.acceptance.table import Row, print_row, print_rows
+from sitl.campaign.evidence import known_s
 from sitl.faults import all_faults
 from sitl.faults.base import Fault
 from sitl.faults.file_deleted import put_back
@@ -72,7 +73,7 @@ STARTED_AGAIN = frozenset(("device_gone",))
 """A container has the device file of its start: when the device is back, an operator restarts the container, as PHM says."""
 FOLDER = "ros_app:/ws"
 SEEN_LIMIT_S, START_LIMIT_S, LEARN_LIMIT_S = 60.0, 90.0, 600.0
-"""The first: since there can be evidence of the fault (`Fault.evidence_s`)."""
+"""The first: since PHM may know of the fault (`sitl.campaign.evidence.known_s`)."""
 RESTORED_LIMIT_S = 20.0
 AFTER_S = 8.0
 """How long a fault stays after its alarm, so that late alarms are caught."""
@@ -124,7 +125,7 @@ class LearnedRun:
         row = Row("learned", fault.name, fault.title, unit, also)
         mark = self.monitor.mark()
         moment = fault.inject(self.stack.agent)
-        limit_s = SEEN_LIMIT_S + (fault.evidence_s or 0.0)
+        limit_s = SEEN_LIMIT_S + known_s(fault.name, fault.evidence_s)
         opened = self.record.wait(lambda event: _opens(event, row), limit_s, since=mark)
         if opened is not None:
             self.record.wait(

@@ -17,6 +17,7 @@ from rich.console import Console
 
 from sitl.acceptance.plan import APART, MODES, ORDER, Play, configuration, plays
 from sitl.acceptance.table import Row, print_row, print_rows, set_outcome, write_markdown
+from sitl.campaign.evidence import known_s
 from sitl.faults import all_faults
 from sitl.faults.base import Agent, Fault
 from sitl.harness.compose_stack import ROOT, Stack
@@ -91,7 +92,7 @@ class AcceptanceRun:
         moment = fault.inject(self.agent)
         if fault.healable:
             for unit in row.expected:
-                limit_s = RECOVERED_LIMIT_S + (fault.evidence_s or 0.0)  # some can only be known late
+                limit_s = RECOVERED_LIMIT_S + known_s(fault.name, fault.evidence_s)  # some are known late
                 self.record.wait(partial(phase, "verified", unit), limit_s, since=mark)
         else:
             self.record.wait(lambda event: event["event"] == "fault_opened", SEEN_LIMIT_S, since=mark)

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from phm import beacon
 from phm.core.settings import HostSettings, MavlinkSettings, PressureSettings, RosSettings
 from phm.probes import inotify, link_radio
+from phm.probes.ros.rates import estimator
+from phm.recovery.holds import manual_stop
 from phm.reporters import received_heartbeats
 from phm.swarm import peers
 from phm.tracker.tracker import ASK_AGAIN_S
@@ -16,18 +19,25 @@ from phm_checks import (
     _graph_evidence,
     _node_activity,
     _process_table,
+    container,
     files,
     nodes,
     pressure,
+    rates,
     topics,
 )
 from sitl.campaign.metrics import ClassMetrics, Figures
+from sitl.simulation import radio
 
 RATIO = 2.0
 """A class above this needs an explanation."""
 _DATA_PATH = (
-    "all nodes of the container must be silent for 1 s and again 0.4 s later (3 s without beacons): one lost message "
-    "or a busy machine is not a blocked network"
+    f"all nodes of the container must be silent for {_data_path.SOON_S:g} s and again {_data_path.CONFIRM_S:g} s later, where all have "
+    "beacons and their processes sleep: one lost message is not a blocked network"
+)
+_AWAKE = (
+    f"all nodes of the container must be silent together, for {_data_path.SOON_S:g} s and again {_data_path.CONFIRM_S:g} s later, or for "
+    f"{_data_path.SILENT_S:g} s where one has no beacon or its process does not sleep: it may only wait for a CPU"
 )
 _SILENCE = "a topic may pause for `ros.silence`, for less where it never paused for long: lost samples are not a fault"
 _REMADE = f"a node may recreate its endpoint: {_endpoint_history.SETTLE_S:g} s where the node ran on meanwhile, else {topics.SETTLE_S:g} s"
@@ -50,8 +60,21 @@ _EXECUTOR = (
 )
 _EXECUTOR_S = _node_activity.TURN_S + _graph_evidence.LATE_S + READ_S
 _PROCESS = (
-    "PHM asks the engine for the processes when more than two heartbeats of a beacon, one every 0.2 s, are missing: it "
-    "is not informed of their end"
+    f"PHM asks the engine for the processes when {_graph_evidence.WAVER_PERIODS:g} heartbeats of a beacon, one every {beacon.PERIOD_S:g} s, "
+    "are missing: it is not informed of their end"
+)
+_PROCESS_S = _graph_evidence.WAVER_PERIODS * beacon.PERIOD_S + nodes.Nodes.period_s
+"""The last one came just before its end, and the check runs once more."""
+_RATE = f"a rate is that of the last {estimator.WINDOW_S:g} s, and must be wrong in two measurements, made once a second: jitter is not a fault"
+_UNSTARTED = (
+    f"who created it may still start it, for {container.UNSTARTED_S:g} s, e.g. `docker compose up`, and the check runs every "
+    f"{container.Container.period_s:g} s"
+)
+HEALTHCHECK_S = 30.0
+"""Timeout of the application's HEALTHCHECK in a swarm (docker/compose.swarm.yaml)."""
+_HANGS = (
+    f"the engine reports a run as failed when it has lasted for the timeout of the HEALTHCHECK, {HEALTHCHECK_S:g} s in a swarm, and "
+    "nothing about one that has not ended"
 )
 _AUTOPILOT = "it is silent for `mavlink.autopilot_timeout`, for less where it never missed a heartbeat in two minutes: lost frames are not a fault"
 _PEER = f"{peers.LOST_PERIODS:g} of its heartbeats must be missing, fewer where none or few were ever lost: one lost frame is not a fault"
@@ -67,30 +90,26 @@ _AGAIN = f"PHM asks the engine about the container, and again before it reports,
 _FILE = f"it must last {files.SETTLE_S:g} s, as programs replace a file by another, and be found again, at the latest {ASK_AGAIN_S:g} s later"
 _DUPLICATE = f"a restarted node may overlap with the old one for {nodes.BOTH_S:g} s, unless both send beacons"
 _REMOVAL = (
-    "its end by a signal may be the beginning of `docker rm -f` or of a restart: PHM waits up to 0.5 s for what follows, and "
+    f"its end by SIGKILL may be the beginning of `docker rm -f`: PHM waits {manual_stop.REMOVED_S:g} s for what follows, and "
     f"asks the engine again before it reports, at the latest {ASK_AGAIN_S:g} s later"
 )
-_PHM_DOWN = "nothing of PHM runs until Docker has restarted its container and Python has started"
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """Why a class is detected later than twice its limit; it explains a ratio of at most `up_to`, which follows from constants of
-    PHM (`Wait`), or was set from measurements.
-    """
+    """Why a class is detected later than twice its limit; it explains a ratio of at most `up_to`."""
 
     words: str
     up_to: float
-    derived: bool = False
 
     def __str__(self) -> str:
-        return f"{self.words} (up to {self.up_to:g}{'' if self.derived else ', set from measurements'})"
+        return f"{self.words} (up to {self.up_to:g})"
 
 
 @dataclass(frozen=True)
 class Wait:
-    """A wait that follows from the configuration or a constant of PHM. limit_s: the fault's limit, on average; waits_s: how long PHM
-    waits after its evidence, at the longest.
+    """A wait that follows from the configuration or a constant of PHM, never from a measurement. limit_s: the fault's limit, on average;
+    waits_s: how long PHM waits after its evidence, at the longest.
     """
 
     words: str
@@ -99,13 +118,13 @@ class Wait:
 
     @property
     def explanation(self) -> Explanation:
-        return Explanation(self.words, round((self.limit_s + self.waits_s) / self.limit_s, 1), derived=True)
+        return Explanation(self.words, round((self.limit_s + self.waits_s) / self.limit_s, 1))
 
 
 _DATA_PATH_S = _data_path.SOON_S + _data_path.CONFIRM_S + SNAPSHOTS_S
 _WINDOW_S = PressureSettings().window + READ_S
 _FILE_S = inotify.GATHER_S + inotify.PACE_S + files.SETTLE_S + ASK_AGAIN_S
-_REMOVAL_S = 0.5 + ASK_AGAIN_S
+_REMOVAL_S = manual_stop.REMOVED_S + ASK_AGAIN_S
 _AUTOPILOT_S = MavlinkSettings().autopilot_timeout - 1.0 + READ_S
 """It counts from the last heartbeat, the evidence is the next one, a second later."""
 _PEER_S = (peers.LOST_PERIODS - 1) * default_periods(8)[0] + READ_S
@@ -116,7 +135,8 @@ WAITS = {
     "callback_blocked": Wait(_EXECUTOR, 0.1, _EXECUTOR_S),
     "clock_stepped": Wait("the clock is read once a second", 0.1, READ_S),
     "container_killed": Wait(_REMOVAL, 0.1, _REMOVAL_S),
-    "container_stopped": Wait(_REMOVAL, 0.1, _REMOVAL_S),
+    "container_created": Wait(_UNSTARTED, 0.1, container.UNSTARTED_S + container.Container.period_s),
+    "container_stopped": Wait(_AGAIN, 0.1, ASK_AGAIN_S),  # no `kill` of the engine: it may not be removed
     "cpu_hog": Wait(
         "ERROR needs `host.cpu` of 98 % in each of two seconds, or as the mean over `host.cpu_window`: shorter peaks are normal",
         1.0,
@@ -124,13 +144,22 @@ WAITS = {
     ),
     "cpu_limited": Wait(_WINDOW, 0.25, _WINDOW_S),
     "crash_loop": Wait(_REMOVAL, 0.1, _REMOVAL_S),
+    "disk_full": Wait("the free share is read once a second", 0.5, READ_S),
     "disk_slow": Wait(_DISK, 1.0, pressure.IO_S + READ_S),
     "executor_deadlocked": Wait(_EXECUTOR, 0.1, _EXECUTOR_S),
     "file_altered": Wait(_FILE, 0.1, _FILE_S),
     "file_deleted": Wait(_FILE, 0.1, _FILE_S),
     "file_not_executable": Wait(_FILE, 0.1, _FILE_S),
+    "gcs_radio_cut": Wait(
+        f"a SiK radio reports the loss of the other one {radio.FORGETS_S:g} s after its last packet, once a second",
+        0.5,
+        radio.FORGETS_S + READ_S,
+    ),
+    "healthcheck_hangs": Wait(_HANGS, 2.5, HEALTHCHECK_S - 1.0 + ASK_AGAIN_S),  # the limit is 1 s after its begin
     "host_overload": Wait(_FULL_CPU, 2.0, HostSettings().cpu_window + READ_S),
     "log_read_only": Wait(_LOG, 1.5, received_heartbeats.WRITE_S),
+    "memory_full": Wait("the memory in use is read once a second", 0.4, READ_S),
+    "memory_leak": Wait(_PROCESS, 0.1, _PROCESS_S),
     "memory_tight": Wait(_WINDOW, 1.0, _WINDOW_S),
     "netns_owner_killed": Wait(_REMOVAL, 0.1, _REMOVAL_S),
     "network_blocked": Wait(_DATA_PATH, 0.1, _DATA_PATH_S),
@@ -139,8 +168,12 @@ WAITS = {
     "network_recreated": Wait(_AGAIN, 0.1, ASK_AGAIN_S),
     "node_duplicate": Wait(_DUPLICATE, 0.1, nodes.BOTH_S + SNAPSHOTS_S),
     "node_never_started": Wait(_LEFT_OUT, 1.0, _process_table.LATER + 1.0 + _process_table.SOON_S),
+    "node_killed": Wait(_PROCESS, 0.1, _PROCESS_S),
+    "node_stopped": Wait(_PROCESS, 0.1, _PROCESS_S),
+    "overload_node_killed": Wait(_PROCESS, 0.1, _PROCESS_S),
     "peer_lost": Wait(_PEER, 1.0, _PEER_S),
     "peer_split": Wait(_PEER, 1.0, _PEER_S),
+    "phm_killed_in_restart": Wait(_PROCESS, 0.1, _PROCESS_S),
     "phm_stopped": Wait(
         "its watchdog must find it stopped twice, after 0.25 to 0.5 s: a short stop is not a fault", 0.125, 0.375
     ),
@@ -157,33 +190,21 @@ WAITS = {
     ),
     "router_killed": Wait(_REMOVAL, 0.1, _REMOVAL_S),
     "sidecar_disconnected": Wait(_AGAIN, 0.1, ASK_AGAIN_S),
+    "sigterm_ignored": Wait(_PROCESS, 0.1, _PROCESS_S),
     "subscriber_lost": Wait(_REMADE, 0.3, topics.SETTLE_S + SNAPSHOTS_S),
     "topic_silent": Wait(_SILENCE, 0.1, RosSettings().silence + SNAPSHOTS_S),
-    "transport_blocked": Wait(_DATA_PATH, 0.1, _data_path.SILENT_S + SNAPSHOTS_S),
+    "topic_slow": Wait(_RATE, 0.2, estimator.WINDOW_S + rates.CONFIRM_S),
+    "transport_blocked": Wait(_AWAKE, 0.1, _data_path.SILENT_S + SNAPSHOTS_S),
 }
 """By fault."""
-EXPLANATIONS = {
-    **{name: wait.explanation for name, wait in WAITS.items()},
-    "disk_full": Explanation("the free share is read once a second", 3),
-    "gcs_radio_cut": Explanation(
-        "the radio reports the loss of the other one 3.4 s after its last packet (SiK firmware)", 10
-    ),
-    "memory_full": Explanation("measured from the order to fill it, and filling 2 GB takes most of the time", 3),
-    "memory_leak": Explanation(_PROCESS, 8),
-    "node_killed": Explanation(_PROCESS, 8),
-    "node_stopped": Explanation(_PROCESS, 8),
-    "overload_node_killed": Explanation(_PROCESS, 8),
-    "phm_killed": Explanation(_PHM_DOWN, 50),
-    "phm_killed_in_restart": Explanation(_PROCESS, 8),
-    "phm_state_noise": Explanation(_PHM_DOWN, 50),
-    "power_loss": Explanation(_PHM_DOWN, 50),
-    "sigterm_ignored": Explanation(_PROCESS, 8),
-    "topic_slow": Explanation(
-        "a rate must be wrong in two measurements, made once a second: jitter is not a fault", 12
-    ),
-}
-"""By fault."""
+EXPLANATIONS = {name: wait.explanation for name, wait in WAITS.items()}
+"""By fault. One that is later than this has none: no wait of PHM explains it, e.g. until Python has started again."""
 UNEXPLAINED = "unexplained"
+
+
+def known_s(fault: str, evidence_s: float | None) -> float:
+    """Until when PHM may know of a fault, in seconds after its injection, by its waits alone."""
+    return (evidence_s or 0.0) + (WAITS[fault].waits_s if fault in WAITS else 0.0)
 
 
 @dataclass(frozen=True)
@@ -211,7 +232,7 @@ def compared(found: Figures) -> list[Compared]:
 def _of_class(each: ClassMetrics) -> Compared:
     ratio, limit_s = each.evidence_ratio, None
     if each.evidence_s is not None:
-        limit_s = each.evidence_s - each.evidence_period_s / 2
+        limit_s = round(each.evidence_s - each.evidence_period_s / 2, 3)
     words = "" if ratio is None or ratio <= RATIO else _explained(each, ratio)
     return Compared(each.title, each.evidence, each.evidence_s, limit_s, each.detection.mean, ratio, words)
 

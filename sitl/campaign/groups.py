@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from sitl.campaign.limits import stated
 from sitl.campaign.metrics import Figures, figures
 from sitl.campaign.stats import Estimate, estimate
 from sitl.campaign.trial import ABORTED, BUSY, QUIET, Trial
@@ -65,7 +66,7 @@ def groups(trials: Sequence[Trial]) -> list[Group]:
         if trial.kind == ABORTED:
             continue
         profile, load, seed = trial.campaign
-        by.setdefault((profile, load), {}).setdefault(seed, []).append(trial)
+        by.setdefault((profile, load), {}).setdefault(seed, []).append(stated(trial))
     found = []
     for (profile, load), seeds in by.items():
         ordered = sorted(seeds.values(), key=lambda each: int(each[0].setting.get("index", 0)))

@@ -15,6 +15,7 @@ from sitl.campaign.agent_restoration import restore
 from sitl.campaign.busy import BusyLoad
 from sitl.campaign.cost_meter import CostMeter
 from sitl.campaign.differences import environment_of, of_fault
+from sitl.campaign.evidence import known_s
 from sitl.campaign.fault_catalog import LEFT_ALONE, OFF as RECOVERY_OFF
 from sitl.campaign.injector import Injector, Note
 from sitl.campaign.pacing import LASTING_S, WINDOW_S, Pacing
@@ -268,7 +269,9 @@ class Runner:
 
     def _recovered_limit_s(self, trial: Trial) -> float:
         """How long the recovery of its faults may take: some can only be detected late."""
-        return self.profile.recovered_limit_s + max((each.evidence_s or 0.0 for each in trial.injections), default=0.0)
+        return self.profile.recovered_limit_s + max(
+            (known_s(each.fault, each.evidence_s) for each in trial.injections), default=0.0
+        )
 
     def _done(self, trial: Trial) -> bool:
         """Whether every fault is recovered, or reported where it cannot be recovered, or nothing more can be expected
@@ -279,7 +282,9 @@ class Runner:
             fault, begun = verdict.injection, verdict.injection.moment or now
             if verdict.claimed_s is not None or (fault.explained_by and fault.world is not None):
                 continue
-            expected = now - begun <= self.profile.seen_limit_s + (fault.evidence_s or 0.0) + fault.hidden_s
+            expected = (
+                now - begun <= self.profile.seen_limit_s + known_s(fault.fault, fault.evidence_s) + fault.hidden_s
+            )
             if verdict.detected_s is None and expected:
                 return False
             if fault.others and not any(alarm.unit == fault.others for alarm in verdict.alarms):

@@ -9,7 +9,7 @@ from sitl.campaign import fault_rows, irregular, single_rows, table
 from sitl.campaign.evidence import RATIO
 from sitl.campaign.groups import Group
 from sitl.campaign.table import Rows
-from sitl.campaign.targets import short as missed_targets
+from sitl.campaign.targets import short as missed_targets, slower
 from sitl.campaign.verdict import FLOOR_S
 
 
@@ -74,7 +74,7 @@ def sections(groups: Sequence[Group]) -> list[Section]:
             table.head("what is left out", groups),
             [*table.left_out(groups), *irregular.rows(groups)],
         ),
-        Section("Further figures", "", table.head("figure", groups), table.beyond(groups)),
+        Section("Further figures", "", table.head("figure", groups), [*table.beyond(groups), *slower(groups)]),
         Section(
             "Differences from what is shipped",
             "Computed from the configuration and the application of each profile. `for FAULT`: in the trials of that "

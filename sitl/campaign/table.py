@@ -104,6 +104,9 @@ def outside(groups: Sequence[Group]) -> Rows:
     def claims(verdict: Verdict) -> bool:
         return verdict.claimed_s is not None
 
+    def lasts(verdict: Verdict) -> bool:
+        return verdict.observed and not claims(verdict) and verdict.world_s is None
+
     def interruptions(found: Figures) -> str:
         counts = [v.injection.interruptions for v in found.verdicts if v.injection.interruptions is not None]
         seconds = sum(v.injection.interrupted_s for v in found.verdicts)
@@ -111,7 +114,11 @@ def outside(groups: Sequence[Group]) -> Rows:
 
     wanted: list[tuple[str, Shown]] = [
         ("both say that the fault is over", count(lambda v: v.difference_s is not None)),
-        ("both say that it is not over", count(lambda v: v.observed and not claims(v) and v.world_s is None)),
+        ("both say that it is not over: healable", count(lambda v: lasts(v) and v.injection.healable)),
+        (
+            "both say that it is not over: not healable; mostly the injector's own setting",
+            count(lambda v: lasts(v) and not v.injection.healable),
+        ),
         ("disagreement: PHM says that it is over, the world does not", count(lambda v: v.claimed_wrongly)),
         ("disagreement: the world is restored, PHM does not say so", count(lambda v: v.unnoticed)),
         ("PHM said so more than 1 s before the world was seen restored", count(lambda v: v.claimed_early)),
@@ -189,11 +196,15 @@ def beyond(groups: Sequence[Group]) -> Rows:
     def in_use(found: Figures) -> str:
         return " / ".join(number(machine_cpu(found, kind), "{:.0f} %") for kind in (NOMINAL, TRIAL))
 
+    def nominal(found: Figures) -> str:
+        beside = sum(len(each.beside) for each in found.judged if each.trial.kind == NOMINAL)
+        return f"{found.nominal_s:.0f} s, {found.nominal_alarms} false alarms, {beside} about `host/*` confirmed by the load"
+
     wanted: list[tuple[str, Shown]] = [
         ("Recovery by action, mean / p50 / p95 / max", lambda f: spread(f.recovery, f.injected)),
         ("Machine, CPU in use: nothing injected / all trials", in_use),
         ("Faults with fewer alarms than expected", lambda f: str(f.lacking)),
-        ("Nothing injected", lambda f: f"{f.nominal_s:.0f} s, {f.nominal_alarms} alarms"),
+        ("Nothing injected", nominal),
         ("Starts of PHM during runs, injected or not", lambda f: str(f.restarts)),
         ("PHM received at the ground, cut radios counted as silence", lambda f: _share(f.received)),
         ("Bytes per agent and second, nothing injected", lambda f: number(f.bytes_nominal, "{:.1f}")),

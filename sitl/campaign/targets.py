@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 from sitl.campaign.groups import Group
 from sitl.campaign.metrics import Figures
 from sitl.campaign.stats import Estimate
 from sitl.campaign.trial import BUSY, QUIET
+from sitl.campaign.verdict import Verdict
 
 Value = float | int | None
 
@@ -94,13 +97,20 @@ METRICS = (
     Metric("Sidecar, PSS, mean", "-", lambda f: f.pss_mb, "{:.0f} MB".format, always=True),
     Metric("Changed with recovery off", "-", lambda f: f.off_changes, _whole, total=True, always=True),
 )
-TIMES = (
-    "Fault detection, mean",
-    "Fault detection, p95",
-    "Response, mean",
-    "Recovery by action, mean",
-    "Recovery by action, p95",
-)
+
+
+def _recovery_s(verdict: Verdict) -> float | None:
+    return verdict.recovered_s if verdict.by_action else None
+
+
+TIMES: dict[str, tuple[Callable[[Verdict], float | None], float | None]] = {
+    "Fault detection, mean": (lambda v: v.detected_s, None),
+    "Fault detection, p95": (lambda v: v.detected_s, 0.95),
+    "Response, mean": (lambda v: v.response_s, None),
+    "Recovery by action, mean": (_recovery_s, None),
+    "Recovery by action, p95": (_recovery_s, 0.95),
+}
+"""What a load may double, with the time of one fault, and the share of a percentile; None: the mean."""
 
 
 def at_most(limit: float, shown: Callable[[float], str]) -> Target:
@@ -148,21 +158,69 @@ ON_BUSY = {"Alarms per fault": at_most(1.05, "{:.2f}".format), "Actions that did
 def targets(group: Group, quiet: Group | None) -> dict[str, Target]:
     """By name of the metric. `quiet`: the same profile on a quiet machine, which limits the times under load."""
     if group.load == BUSY:
-        means = {} if quiet is None else {name: quiet.mean(metric.value) for name, metric in _TIMES.items()}
-        doubled = {name: at_most(2 * mean.mean, seconds) for name, mean in means.items() if mean is not None}
-        return {**ALWAYS, **ON_BUSY, **doubled}
+        doubled = {} if quiet is None else {name: _doubled(group.all, quiet.all, name) for name in TIMES}
+        return {**ALWAYS, **ON_BUSY, **{name: target for name, target in doubled.items() if target is not None}}
     if group.profile == "as-found":
         return {**ALWAYS, **AS_FOUND}
     return {**ALWAYS, **ON_QUIET, **(TUNED if group.profile == "tuned" else SHIPPED)}
 
 
-_TIMES = {metric.name: metric for metric in METRICS if metric.name in TIMES}
+def _doubled(busy: Figures, quiet: Figures, name: str) -> Target | None:
+    """At most twice the time on a quiet machine, by the classes of faults for which both have one, each with the same weight: the groups
+    have different faults, and some are slow for other reasons than the load. None without such a class.
+    """
+    time_of, share = TIMES[name]
+    here, there = _by_class(busy, time_of), _by_class(quiet, time_of)
+    both = here.keys() & there.keys()
+    if not both:
+        return None
+    value, limit = (_weighted([found[each] for each in sorted(both)], share) for found in (here, there))
+    words = f"<= twice quiet, by class ({len(both)} in both): {seconds(value)} of {seconds(2 * limit)}"
+    return Target(words, lambda _: value <= 2 * limit)
+
+
+def _by_class(found: Figures, time_of: Callable[[Verdict], float | None]) -> dict[str, list[float]]:
+    times: dict[str, list[float]] = {}
+    for verdict in found.verdicts:
+        time_s = time_of(verdict)
+        if time_s is not None:
+            times.setdefault(verdict.injection.fault, []).append(time_s)
+    return times
+
+
+def _weighted(classes: Sequence[Sequence[float]], share: float | None) -> float:
+    """The mean, or the smallest value that is not below this share of all; all classes weigh the same."""
+    weighted = sorted((value, 1 / len(each) / len(classes)) for each in classes for value in each)
+    if share is None:
+        return math.fsum(value * weight for value, weight in weighted)
+    reached = accumulate(weight for _, weight in weighted)
+    return next(
+        (value for (value, _), sum_ in zip(weighted, reached, strict=True) if sum_ >= share - 1e-9), weighted[-1][0]
+    )
+
+
+def slower(groups: Sequence[Group]) -> list[tuple[str, ...]]:
+    """For each group under load: how many classes are detected, on average, after more than twice the time of the quiet group."""
+    cells = []
+    for group in groups:
+        quiet = _quiet(group, groups)
+        if group.load != BUSY or quiet is None:
+            cells.append("-")
+            continue
+        here, there = (_by_class(each.all, TIMES["Fault detection, mean"][0]) for each in (group, quiet))
+        both = sorted(here.keys() & there.keys())
+        more = sum(_weighted([here[each]], None) > 2 * _weighted([there[each]], None) for each in both)
+        cells.append(f"{more} of {len(both)}")
+    return [("Classes detected after more than twice the mean time of the quiet group, of those in both", *cells)]
+
+
+def _quiet(group: Group, groups: Sequence[Group]) -> Group | None:
+    return next((each for each in groups if (each.profile, each.load) == (group.profile, QUIET)), None)
 
 
 def evaluated(group: Group, others: Sequence[Group] = ()) -> list[Result]:
     """Every metric of the group with its target. `others`: all groups of the record."""
-    quiet = next((each for each in others if (each.profile, each.load) == (group.profile, QUIET)), None)
-    known = targets(group, quiet)
+    known = targets(group, _quiet(group, others))
     return [_result(metric, group, known.get(metric.name)) for metric in METRICS]
 
 

@@ -123,9 +123,11 @@ class Verdict:
 
     @property
     def evidence_limit_s(self) -> float | None:
-        """The moment, on average, at which anything on board could know of the fault: it begins at any moment of a period."""
+        """The moment, on average, at which anything on board could know of the fault: it begins at any moment of a period. What only the
+        engine knows is known at the end of its outage at the earliest.
+        """
         fault = self.injection
-        return None if fault.evidence_s is None else fault.evidence_s - fault.evidence_period_s / 2 + fault.hidden_s
+        return None if fault.evidence_s is None else max(fault.evidence_s - fault.evidence_period_s / 2, fault.hidden_s)
 
     @property
     def evidence_ratio(self) -> float | None:

@@ -196,6 +196,7 @@ class Fault(ABC):
     evidence_s: how many seconds after the injection that event happens, at the latest; None: not stated yet.
     outage_s: how long it keeps the Docker Engine from PHM: what is known through the engine alone is hidden for this long.
     evidence_period_s: its period, where that event is periodic: on average it happens half a period earlier.
+    by_healthcheck: that period is the interval of the application's HEALTHCHECK, 3 s in a swarm.
     """
 
     name: ClassVar[str]
@@ -217,6 +218,7 @@ class Fault(ABC):
     evidence: ClassVar[str] = ""
     evidence_s: ClassVar[float | None] = None
     evidence_period_s: ClassVar[float] = 0.0
+    by_healthcheck: ClassVar[bool] = False
     outage_s: ClassVar[float] = 0.0
 
     def places(self, agent: Agent) -> tuple[str, ...]:
@@ -262,7 +264,7 @@ def undoing(undo: Callable[[], None]) -> Iterator[None]:
 
 
 def died(app: Container, before: str) -> float:
-    """The moment at which the container ended, by the engine's own stamp. `before`: the stamp of the end before.
+    """The moment at which the container ended, by the engine's own stamp, up to 0.2 s later. `before`: the stamp of the end before.
 
     Raises TimeoutError when it has not ended within 10 s.
     """

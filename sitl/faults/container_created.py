@@ -7,7 +7,6 @@ from functools import partial
 
 from docker.models.containers import Container
 
-from phm_checks.container import UNSTARTED_S
 from sitl.faults._world import app_runs
 from sitl.faults.base import Agent, Fault, freeze, undoing
 
@@ -22,8 +21,7 @@ class Injection(Fault):
     condition = "created"
     layer = "container"
     cause = "an image was updated and its container recreated but not started"
-    evidence = "it was not started for as long as its creator has for that: before, it may be an update at work"
-    evidence_s = UNSTARTED_S
+    evidence, evidence_s = "the engine's event that the container is created", 0.1
 
     def inject(self, agent: Agent) -> float:
         old = agent.app

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 from sitl.faults._world import app_runs
 from sitl.faults.base import Agent, Fault, died
 
@@ -23,8 +25,10 @@ class Injection(Fault):
         app = agent.app
         before = app.attrs["State"]["FinishedAt"]
         agent.write_in_app(MARKER, b"1\n")
+        moment = time.monotonic()
         app.kill()
-        return died(app, before)
+        died(app, before)
+        return moment
 
     def clear(self, agent: Agent) -> None:
         agent.write_in_app(MARKER, b"")

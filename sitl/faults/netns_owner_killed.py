@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import time
 from collections.abc import Mapping
 
 from docker.errors import NotFound
@@ -68,8 +69,10 @@ class Injection(Fault):
     def inject(self, agent: Agent) -> float:
         app = agent.app
         before = app.attrs["State"]["FinishedAt"]
+        moment = time.monotonic()
         app.kill()
-        return died(app, before)
+        died(app, before)
+        return moment
 
     def clear(self, agent: Agent) -> None:
         agent.app.start()

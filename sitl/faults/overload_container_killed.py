@@ -28,8 +28,10 @@ class Injection(Fault):
             time.sleep(BEFORE_S)
             app = agent.app
             before = app.attrs["State"]["FinishedAt"]
+            moment = time.monotonic()
             app.kill()
-            return died(app, before)
+            died(app, before)
+            return moment
 
     def clear(self, agent: Agent) -> None:
         end_overload(agent)

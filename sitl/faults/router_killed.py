@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 from sitl.faults._world import link, runs
 from sitl.faults.base import Agent, Fault, died
 
@@ -21,8 +23,9 @@ class Injection(Fault):
     def inject(self, agent: Agent) -> float:
         router = agent.router
         before = router.attrs["State"]["FinishedAt"]
+        moment = time.monotonic()
         router.kill()
-        moment = died(router, before)
+        died(router, before)
         self._before = self._forwarded(agent)
         return moment
 

@@ -18,7 +18,7 @@ class Injection(Fault):
     layer = "container"
     cause = "the application runs and says of itself that it does not work"
     evidence, evidence_s = "the first run of the HEALTHCHECK that fails, every 3 s in a swarm", 3.2
-    evidence_period_s = 3.0
+    evidence_period_s, by_healthcheck = 3.0, True
 
     def inject(self, agent: Agent) -> float:
         moment = time.monotonic()

@@ -11,6 +11,7 @@ from unittest.mock import Mock
 
 import pytest
 
+from phm_checks.container import UNSTARTED_S
 from sitl.campaign import irregular, runner as campaign_runner
 from sitl.campaign.busy import LASTS_S, RENEW_S
 from sitl.campaign.groups import groups
@@ -202,10 +203,12 @@ def test_with_recovery_off_the_world_is_compared_with_that_of_the_injection(
 
 def test_slow_faults_have_longer_to_recover(runner: Runner) -> None:
     """A HEALTHCHECK every 30 s, as in `as-found`, delays detection and the proof of recovery; so does one that hangs."""
-    made = trial(injections=[injection(evidence_s=33.0), injection(evidence_s=None)])
+    made = trial(injections=[injection(fault="made_up", evidence_s=33.0), injection(evidence_s=None)])
     assert runner._recovered_limit_s(made) == 90.0 + 33.0
     runner.profile = ALL["as-found"]
     assert runner._recovered_limit_s(made) == 150.0 + 33.0
+    created = trial(injections=[injection(fault="container_created", evidence_s=0.1)])
+    assert runner._recovered_limit_s(created) > 150.0 + UNSTARTED_S, "PHM waits for its creator"
 
 
 def test_a_fault_that_an_outage_of_the_engine_hides_is_awaited_longer(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,13 @@ from unittest import mock
 import pytest
 
 from sitl.faults import (
+    container_killed,
+    container_stopped,
+    crash_loop,
     memory_leak,
+    netns_owner_killed,
     network_recreated,
+    overload_container_killed,
     phm_killed_in_restart,
     phm_state_noise,
     pids_exhausted,
@@ -173,3 +179,25 @@ def test_phm_is_killed_after_its_state_was_filled_with_noise(
     phm_state_noise.Injection().inject(mock.Mock())
     assert process.wait() == -9
     assert (tmp_path / phm_state_noise.NAME).stat().st_size == phm_state_noise.LEAST
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [container_killed, container_stopped, crash_loop, netns_owner_killed, overload_container_killed],
+    ids=lambda module: module.__name__.rpartition(".")[2],
+)
+def test_a_container_is_killed_at_the_order(fault: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The engine stamps its end a moment after the processes are gone."""
+    app = mock.Mock(attrs={"State": {"FinishedAt": "2026-11-27T10:00:00Z"}})
+    ordered = []
+
+    def end(*_: Any, **__: Any) -> None:
+        ordered.append(time.monotonic())
+        app.attrs = {"State": {"FinishedAt": "2999-01-01T00:00:00Z"}}
+
+    app.kill.side_effect = app.exec_run.side_effect = end
+    agent = mock.Mock(app=app)
+    if fault is overload_container_killed:
+        monkeypatch.setattr(fault, "overload", lambda _: None)
+        monkeypatch.setattr(fault, "BEFORE_S", 0.0)
+    assert fault.Injection().inject(agent) <= ordered[0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import socket
+import subprocess
 import tarfile
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from docker.errors import NotFound
 from sitl.faults import _docker_proxy, _volumes, _world
 from sitl.faults.base import Agent
 from sitl.faults.file_deleted import CONTENT, critical_file_is_intact
+from sitl.faults.healthcheck_hangs import HANG, HANGS, PROGRAM
 
 RUNNING = {"Running": True, "Paused": False, "Restarting": False}
 
@@ -114,3 +116,13 @@ def test_a_volume_is_found_by_its_place_in_the_container() -> None:
 def test_a_proxy_without_an_engine_does_not_respond(tmp_path: Path) -> None:
     """Neither without its socket, nor when the other end closes."""
     assert not _docker_proxy.responds(tmp_path / "none.sock")
+
+
+@pytest.mark.parametrize(("started", "hangs"), [("this run", "yes"), ("1", "no"), ("", "no")])
+def test_a_health_check_that_hangs_is_seen_by_its_program(started: str, hangs: str, tmp_path: Path) -> None:
+    """Only in the run of the container in which it was put there."""
+    program, first = tmp_path / "test", Path("/proc/1/stat").read_text("ascii").split()[21]
+    if started:
+        program.write_text(HANG.format(started=first if started == "this run" else started), "ascii")
+    asked = HANGS.replace(PROGRAM, str(program))
+    assert subprocess.run(["sh", "-c", asked], capture_output=True, text=True, check=True).stdout.strip() == hangs
