@@ -81,7 +81,7 @@ def take_off(reader: LogReader) -> TakeOff | None:
     """The gate for the last flight in the log; None: there is no flight in it. Reads the log.
 
     After a restart in flight the log has a second beginning of the same flight: the first counts. The number alone does not
-    tell: numbers begin again when `state_dir` was lost.
+    show that: numbers begin again when `state_dir` was lost.
     """
     found: tuple[object, object, int] | None = None
     for line in reader.lines(last=True):
