@@ -63,6 +63,12 @@ def test_a_mistake_is_named_with_its_line(entry: str, problem: str) -> None:
     assert found.startswith(f"phm.yaml:5: {problem}")
 
 
+def test_the_list_of_units_is_named_where_a_unit_is_unknown() -> None:
+    """`phm checks` alone lists names of checks, which are no units."""
+    (found,) = refused(f"  - {{{TCP}, needs: [container]}}\n")
+    assert found.endswith("(`phm checks --graph` lists them)")
+
+
 def test_names_are_unique_over_all_types() -> None:
     """Each is a unit."""
     web = "  - {name: ssh, type: http, url: http://localhost/}\n"
