@@ -57,8 +57,6 @@ class DataPath:
         self._generation, self._met_at = "", 0.0
         self._cut_at = 0.0
         """The last sign of life before they were reported as cut off came at this moment at the latest."""
-        self._cut_generation = ""
-        """The container generation in which they were reported as cut off, and have not been received since."""
         self._pause_s, self._paused_at = 0.0, 0.0
         """Duration of the last silence of all nodes that ended by itself, and when it ended."""
         self._blocked_generation = ""
@@ -80,35 +78,6 @@ class DataPath:
         """The container is paused or has ended: the silence of that time says nothing about the path, unless it was blocked just before."""
         if not self._blocked:
             self._generation = ""
-
-    def unknown(self, world: api.World) -> bool:
-        """Whether they were reported as cut off, and it is not known yet if data arrive again: nothing was received since, and no
-        other cause is known. Call after `why` and `absent`, if both are empty."""
-        if self._cut_generation != self._generation or not self._generation:
-            return False
-        if self._back(world):
-            self._cut_generation = ""
-        return bool(self._cut_generation)
-
-    def _back(self, world: api.World) -> bool:
-        """Whether a sign of life came since, another node receives them, or a process has ended or is stopped."""
-        try:
-            fact = world.ros.snapshot()
-            if fact.age_s > OLD_SNAPSHOT_S:
-                return False
-            ages = [sign.age_s - fact.age_s for node in self._wanted for sign in self._signs(node, fact)]
-            received = any(world.clock.mono() - age_s > self._cut_at for age_s in ages)
-            return received or self._others_receive(fact) or not self._state(world)
-        except api.CannotTell:
-            return False
-
-    def unobserved(self, world: api.World) -> bool:
-        """Whether nothing has been received from its nodes since PHM's first look at this run of the container."""
-        return len(self._wanted) >= WITNESSES and not self._received(world, world.clock.mono())
-
-    def _cut(self, world: api.World, silent_s: float) -> None:
-        """They are reported as cut off, after silence of this duration."""
-        self._cut_generation, self._cut_at = self._generation, world.clock.mono() - silent_s + NOISE_S
 
     def waiting(self, world: api.World, generation: str) -> bool:
         """Whether the path was blocked in the previous generation and it is not yet known if data arrives in this one. Call after `why`."""
@@ -144,15 +113,13 @@ class DataPath:
         # Data from before this generation came from other processes, whose names may stay listed until their lease ends.
         in_this_generation = silent and now - max(silent) > self._met_at
         if in_this_generation and len(silent) >= WITNESSES and (silent_s := self._cut_off_s(world, fact, silent)):
-            self.never_received = False
-            self._cut(world, silent_s)
+            self.never_received, self._cut_at = False, world.clock.mono() - silent_s + NOISE_S
             return (
                 f"nothing received from any of its {len(silent)} nodes for {span(silent_s)}, though discovery lists them and "
                 "their processes are running"
             )
         if not silent and now - self._met_at > self._grace_s and self._nameless(fact) and self._run(world):
             self.never_received = True
-            self._cut(world, now - self._met_at)
             return (
                 f"publishers are discovered, but neither their node names nor a sample has been received for {span(fact.up_s)}, though "
                 f"the processes of {listed([node.short for node in self._wanted], 3)} are running"
@@ -211,7 +178,6 @@ class DataPath:
         silent_s = min(received) - fact.age_s
         if silent_s < ABSENT_S or now - silent_s < self._met_at or self._run(world) != ASLEEP:
             return ""
-        self._cut(world, silent_s)
         return (
             f"none of its {len(self._wanted)} nodes is listed, and nothing has been received from them for {span(silent_s)}, "
             "though their processes are running"
@@ -258,13 +224,9 @@ class DataPath:
         """AWAKE or ASLEEP if each node has at least one process, not shared, and none is stopped; otherwise empty. Called only if there
         is a reason."""
         try:
-            return self._state(world)
+            processes = world.docker.processes(self._key)
         except api.CannotTell:
             return ""
-
-    def _state(self, world: api.World) -> str:
-        """The same; raises CannotTell."""
-        processes = world.docker.processes(self._key)
         found, _ = match(self._wanted, processes, {})
         every = repeated(self._wanted, processes, found) | {name: [one.process] for name, one in found.items()}
         states = [one.state[:1] for own in every.values() for one in own]

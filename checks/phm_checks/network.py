@@ -72,12 +72,7 @@ class Network(PerContainer):
             return api.Result(
                 first.level, summary, combined(bad), first.condition, self.key, values, evidence=first.evidence
             )
-        blocked = self._blocked(world, fact)
-        if blocked is not None:
-            return blocked
-        # After a reload or restart of PHM, a fault of before does not end without data.
-        evidence = api.Evidence(unobserved=self._data_path.unobserved(world))
-        return replace(api.ok(joined([finding.summary for finding in findings]), values=values), evidence=evidence)
+        return self._blocked(world, fact) or api.ok(joined([finding.summary for finding in findings]), values=values)
 
     @property
     def _responds(self) -> bool:
@@ -98,8 +93,6 @@ class Network(PerContainer):
             return api.stale(
                 f"{self.key} is connected; its transport was blocked before it was restarted, and nothing has been received from its nodes since"
             )
-        if not why and self._data_path.unknown(world):
-            return api.stale(f"{self.key} is connected; it is not known whether data arrive again from its nodes")
         if not why:
             return None
         cause = (

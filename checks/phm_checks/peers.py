@@ -125,7 +125,8 @@ def _agent(agent: int, fact: api.SwarmFact) -> api.Result:
     if agent in fact.receive_none and peer.state in THERE:
         words = f"agent {name} is received but receives no other agent: check its radio's receiver and its network"
         short = brief(name, "receives no other agent")
-        return api.Result(Level.WARN, words, short, "peer_receives_none", values=values)
+        evidence = api.Evidence(recovered=True)  # it is received, so it is not lost any more
+        return api.Result(Level.WARN, words, short, "peer_receives_none", values=values, evidence=evidence)
     if peer.state == "partly reachable":
         words = (
             f"agent {name} is alive, received by {_names(peer.received_by)} but not by {_names(peer.not_received_by)}: the network "

@@ -119,8 +119,7 @@ def _receive_none(own: int, received: frozenset[int], views: Mapping[int, PeerVi
     """See `Consensus.receive_none`. Of two agents each may be the cause: then neither is."""
     if known < 2:
         return ()
-    there = received | {own}
-    receive_none = [agent for agent, view in views.items() if view.there.isdisjoint(there)]
+    receive_none = [agent for agent, view in views.items() if not view.there]
     return tuple(sorted([*receive_none, *([] if received else [own])]))
 
 

@@ -394,10 +394,12 @@ class Tracker:
             self._count_ok(record, now)
             self._publish(record, result, now, effects)
         if record.fault is not None:
-            unobserved = result.evidence.unobserved or record.not_observed(result)
+            # What was observed in this run has ended in this run.
+            restored = record.unobserved_until != NEVER
+            unobserved = restored and (result.evidence.unobserved or record.not_observed(result))
             by = TIMEOUT if unobserved else record.ended_by or record.fault.by or ITSELF
             self._faults.close(record, Outcome.RESOLVED, by, now, effects)
-        record.restored_subjects = frozenset()
+        record.restored_subjects, record.unobserved_until = frozenset(), NEVER
         if result.level is not Level.OK:  # another problem, reported after the end of the first
             self._publish(record, result, now, effects)
         if recovered:
