@@ -69,6 +69,8 @@ class MavlinkReporter(Reporter):
         self._last_full, self._full_room = float("-inf"), TokenBucket(FULL_BURST, now)
         self._left_to_leader: dict[str, tuple[StatusTextLine, float]] = {}
         """By key, the newest line about another agent that only the leader sends, and when."""
+        self._said_alone: frozenset[str] = frozenset()
+        """Keys of failures sent while this agent received no other one: it sends their end, too."""
         self._stations = GcsPresence(self._agent, self._settings.gcs_timeout)
         port.listen(self._receive, (mavlink.MAVLINK_MSG_ID_HEARTBEAT,))
 
@@ -178,7 +180,7 @@ class MavlinkReporter(Reporter):
         missed_s = max(MISSED_HEARTBEATS * heartbeat_s, self._settings.gcs_timeout + heartbeat_s)
         recent = {key: (line, at) for key, (line, at) in self._left_to_leader.items() if now - at <= missed_s}
         self._left_to_leader = recent
-        if recent and self._leads():
+        if recent and (self._leads() or self._alone()):
             self._say([line for line, _ in recent.values()])
 
     def _set_true(self) -> None:
@@ -190,10 +192,15 @@ class MavlinkReporter(Reporter):
     def _say(self, lines: list[StatusTextLine]) -> None:
         for line in lines:
             if line.key.startswith(PEERS):
-                if not self._leads() and not self._alone():
+                alone = self._alone()
+                if not (self._leads() or alone or line.key in self._said_alone):
                     self._left_to_leader[line.key] = (line, self._context.clock.mono())
                     continue
                 self._left_to_leader.pop(line.key, None)
+                ended = line.severity > Severity.WARNING
+                self._said_alone = (
+                    self._said_alone - {line.key} if ended or not alone else self._said_alone | {line.key}
+                )
             # A text that was limited takes turns with the refresh line, which would otherwise wait for it without an end.
             urgency = Severity.INFO if line.kind is MessagePriority.REFRESH else line.severity
             self._port.send(

@@ -83,7 +83,9 @@ def compute_consensus(peers: Peers, now: float, own_gcs: bool) -> Consensus:
         agent: view for agent, peer in peers.all().items() if seen[agent] in THERE and (view := peer.fresh_view(now))
     }
     received = frozenset(agent for agent, how in seen.items() if how in THERE)
-    receive_none = _receive_none(peers.own, received, views, known=len(seen))
+    receive_none = _receive_none(
+        peers.own, received, views, known=sum(not peer.leaving for peer in peers.all().values())
+    )
     gcs = {agent: view.gcs for agent, view in views.items()}
     for agent in views.keys() & set(receive_none):
         del views[agent]

@@ -179,3 +179,10 @@ def test_without_links_no_check_is_built() -> None:
         testing.settings(mavlink={"endpoints": [{"url": "udpout:127.0.0.1:1"}]}, swarm={"agents": [1, 2, 2, 3]})
     )
     assert [unit.id for unit in check.units] == [SWARM, "peers/A02", "peers/A03"]
+
+
+def test_an_agent_that_is_received_again_is_not_lost_although_it_receives_none() -> None:
+    """The fault of its loss ends: a second loss must be an alarm."""
+    result = evaluate({2: ALIVE, 3: ALIVE, 4: ALIVE}, receive_none=(2,))["peers/A02"]
+    assert (result.level, result.condition) == (Level.WARN, "peer_receives_none")
+    assert result.evidence.recovered

@@ -182,3 +182,14 @@ def test_a_list_of_agents_that_was_added_ends_the_fault() -> None:
 def test_only_some_of_many_agents_are_named() -> None:
     missing = as_unobserved(OK, [f"A{agent:02d}" for agent in range(1, 11)])
     assert missing.summary.startswith("A01 A02 A03 A04 A05 A06 A07 A08 +2 not observed since")
+
+
+def test_a_fault_of_this_run_is_never_ended_by_a_timeout() -> None:
+    """An action ended it, or it ended by itself: what the check has not observed since PHM's start it cannot have reported."""
+    bench = Bench([unit(UNIT, target="link:fc")])
+    bench.all_healthy()
+    bench.later(1)
+    bench.see(UNIT, BAD)
+    bench.later(1)
+    bench.see(UNIT, UNOBSERVED)
+    assert bench.closed == [(UNIT, Outcome.RESOLVED, ITSELF)]
