@@ -124,7 +124,7 @@ class DataFact:
     fields: tuple[FieldFact, ...] = ()
     """The fields that checks of type `topic` name."""
     undecided: tuple[str, ...] = ()
-    """The limits of which too little was examined to tell whether they are exceeded, named as in `conditions`. Content that is the
+    """The limits of which too little was examined to say whether they are exceeded, named as in `conditions`. Content that is the
     same since a publisher was first examined may be as old as before."""
 
 
