@@ -19,8 +19,8 @@ import yaml
 from docker.errors import DockerException
 from rich.console import Console
 
+from sitl.acceptance.known_late import known_s
 from sitl.acceptance.table import Row, print_row, print_rows
-from sitl.campaign.evidence import known_s
 from sitl.faults import all_faults
 from sitl.faults.base import Fault
 from sitl.faults.file_deleted import put_back
@@ -73,7 +73,7 @@ STARTED_AGAIN = frozenset(("device_gone",))
 """A container has the device file of its start: when the device is back, an operator restarts the container, as PHM says."""
 FOLDER = "ros_app:/ws"
 SEEN_LIMIT_S, START_LIMIT_S, LEARN_LIMIT_S = 60.0, 90.0, 600.0
-"""The first: since PHM may know of the fault (`sitl.campaign.evidence.known_s`)."""
+"""The first: since PHM may know of the fault (`sitl.acceptance.known_late.known_s`)."""
 RESTORED_LIMIT_S = 20.0
 AFTER_S = 8.0
 """How long a fault stays after its alarm, so that late alarms are caught."""

@@ -15,9 +15,9 @@ from pathlib import Path
 
 from rich.console import Console
 
+from sitl.acceptance.known_late import known_s
 from sitl.acceptance.plan import APART, MODES, ORDER, Play, configuration, plays
 from sitl.acceptance.table import Row, print_row, print_rows, set_outcome, write_markdown
-from sitl.campaign.evidence import known_s
 from sitl.faults import all_faults
 from sitl.faults.base import Agent, Fault
 from sitl.harness.compose_stack import ROOT, Stack

@@ -28,8 +28,7 @@ from rich.progress import track
 from rich.table import Table
 
 from sitl.bench import footprint_proc
-from sitl.campaign.cost_meter import cpu_of
-from sitl.faults._cgroups import cgroup
+from sitl.faults._cgroups import cgroup, cpu_of
 from sitl.harness.machine import machine
 
 ROLES = {"daemon": "run", "ROS child": "phm.probes.ros.child", "watchdog": "watchdog.py"}

@@ -15,7 +15,7 @@ from docker import DockerClient
 from docker.errors import DockerException
 
 from sitl.campaign.trial import Cost
-from sitl.faults._cgroups import cgroup
+from sitl.faults._cgroups import cgroup, cpu_of
 from sitl.faults.base import Agent
 
 PERIOD_S = 1.0
@@ -23,7 +23,7 @@ PSS_EVERY = 10
 """Samples: the kernel walks all pages of a process for its proportional share."""
 PROC = Path("/proc")
 PAGE = os.sysconf("SC_PAGE_SIZE")
-V1_CPU, V2_CPU, PROCESSES = "cpuacct.usage", "cpu.stat", "cgroup.procs"
+PROCESSES = "cgroup.procs"
 Find = Callable[[int], Path]
 
 
@@ -123,18 +123,6 @@ def _sample(meter: _Meter, find: Callable[[], Path], *, pss: bool) -> None:
         meter.rss.append(sum(_memory(pid, "Rss:") if pss else _rss(pid) for pid in pids))
         if pss:
             meter.pss.append(sum(_memory(pid, "Pss:") for pid in pids))
-
-
-def cpu_of(folder: Path) -> float:
-    """Seconds of CPU time that a cgroup has used. OSError when it is gone."""
-    v1 = folder / V1_CPU
-    if v1.exists():
-        return int(v1.read_text("ascii")) / 1e9
-    for line in (folder / V2_CPU).read_text("ascii").splitlines():
-        name, _, value = line.partition(" ")
-        if name == "usage_usec":
-            return int(value) / 1e6
-    raise OSError(f"{folder} does not say how much CPU time it has used")
 
 
 def _pids(folder: Path) -> list[int]:

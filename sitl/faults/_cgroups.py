@@ -10,6 +10,7 @@ from docker.models.containers import Container
 
 MOUNT, PROC, BLOCK = Path("/sys/fs/cgroup"), Path("/proc"), Path("/sys/dev/block")
 UPDATE_LIMIT_S = 30.0
+V1_CPU, V2_CPU = "cpuacct.usage", "cpu.stat"
 V1_FILES = ("blkio.throttle.read_bps_device", "blkio.throttle.write_bps_device")
 
 
@@ -40,6 +41,18 @@ def cgroup(container: Container, controller: str, mount: Path = MOUNT, proc: Pat
         if not unified and controller in controllers.split(","):
             return mount / controllers / path.lstrip("/")
     raise LookupError(f"{container.name} has no cgroup of the controller {controller}")
+
+
+def cpu_of(folder: Path) -> float:
+    """Seconds of CPU time that a cgroup has used. OSError when it is gone."""
+    v1 = folder / V1_CPU
+    if v1.exists():
+        return int(v1.read_text("ascii")) / 1e9
+    for line in (folder / V2_CPU).read_text("ascii").splitlines():
+        name, _, value = line.partition(" ")
+        if name == "usage_usec":
+            return int(value) / 1e6
+    raise OSError(f"{folder} does not say how much CPU time it has used")
 
 
 def disk(path: str, block: Path = BLOCK) -> str:

@@ -11,8 +11,8 @@ from pathlib import Path
 from docker import DockerClient
 from docker.errors import DockerException
 
-from sitl.campaign.cost_meter import PROCESSES, cpu_of
-from sitl.faults._cgroups import cgroup
+from sitl.campaign.cost_meter import PROCESSES
+from sitl.faults._cgroups import cgroup, cpu_of
 from sitl.faults.base import Agent
 from sitl.soak.process_tree import Wakeups, descriptors, memory_mb, tree
 from sitl.soak.sample import Sample, to_json

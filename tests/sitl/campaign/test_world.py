@@ -13,13 +13,14 @@ from unittest.mock import Mock
 import pytest
 from docker.errors import APIError, DockerException
 
-from sitl.campaign.cost_meter import CostMeter, cpu_of
+from sitl.campaign.cost_meter import CostMeter
 from sitl.campaign.injector import Injector
 from sitl.campaign.pacing import LASTING_S, WINDOW_S, Pacing
 from sitl.campaign.plan import Draw
 from sitl.campaign.profiles import ALL
 from sitl.campaign.trial import INTERRUPTION_S, Injection
 from sitl.campaign.world import POLL_S, Series, WorldObserver
+from sitl.faults._cgroups import cpu_of
 from sitl.faults.base import Agent, Fault
 from tests.fakes.campaign_trials import T0, injection, trial, verified
 from tests.fakes.until import until
