@@ -22,8 +22,6 @@ its end, without delay. So a busy CPU of the machine has not delayed this contai
 explains the failure: the probe may ask how old the application's data are."""
 OWN_CODES = range(1, 128)
 """Exit codes of a program that ended by itself; above them are signals, e.g. of the kernel for lack of memory."""
-
-
 SETTLE_S = 2.0
 """A run that hangs is reported after this time: after the entire machine was suspended, the engine starts a run immediately."""
 

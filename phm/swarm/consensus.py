@@ -1,11 +1,10 @@
 """Consensus of the swarm from the views of all agents: lost, partly reachable, split, or without a ground station. Pure.
 
 Each agent computes it from the same views, without a leader and without rounds: views are small and sent often, and old ones do
-not count. Observers are this agent and each agent that it receives, whose view is new enough and has an agent that this one
-receives: the fault of one that receives none is its own. An agent is *lost* when more
-observers have lost it than receive it, and *partly reachable* if some do not receive it; both lists are reported. An agent that
-this one receives is not lost, whatever the others vote. In a split network each side sees the other as lost; when several agents
-are lost together, it is reported as a split.
+not count. Observers are this agent and each agent that it receives, whose view is new enough and has an agent: the fault of one
+that receives none is its own. An agent is *lost* when more observers have lost it than receive it, and *partly reachable* if some
+do not receive it; both lists are reported. An agent that this one receives is not lost, whatever the others vote. In a split
+network each side sees the other as lost; when several agents are lost together, it is reported as a split.
 """
 
 from __future__ import annotations
@@ -143,8 +142,10 @@ def _status(agent: int, how: PeerState, views: Mapping[int, PeerView], gcs: bool
             continue
         if agent in view.there:
             received.append(observer)
+        elif view.peers.get(agent, PeerState.NEVER) is PeerState.NEVER:
+            never.append(observer)
         else:
-            (not_receiving if view.peers.get(agent, PeerState.NEVER) else never).append(observer)
+            not_receiving.append(observer)
     if not received:
         not_receiving += never
     words = (tuple(sorted(received)), tuple(sorted(not_receiving)), gcs, peer.word)
