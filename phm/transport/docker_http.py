@@ -14,7 +14,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -28,7 +28,7 @@ from requests.models import PreparedRequest, Response
 
 from phm.core import polling, threads
 from phm.transport.call_deadlines import PendingCall, shut_down
-from phm.transport.dns import Resolver
+from phm.transport.dns import Address, Resolver
 from phm.transport.docker_errors import EngineBroken, EngineError
 
 MAX_ANSWER_BYTES = 16 << 20
@@ -122,19 +122,38 @@ class _TcpConnection(urllib3.connection.HTTPConnection):
             if call is not None:
                 call.failure = error
             raise
-        for untried, (family, address) in zip(range(len(addresses), 0, -1), addresses, strict=True):
-            try:
-                sock = _Socket(family, socket.SOCK_STREAM)
-                # An address that does not answer leaves time for the others.
-                sock.settimeout(None if end_s is None else max(_LEAST_S, (end_s - time.monotonic()) / untried))
-                self.sock = _open(sock, address)
-                break
-            except OSError:
-                if untried == 1 or (call is not None and call.expired):
-                    raise
+        try:
+            self.sock = _first_open(addresses, end_s)
+        except OSError:
+            # The engine may have another address by now. Only a call that fails otherwise waits for that.
+            looked_up.wait(None if end_s is None else max(0.0, end_s - time.monotonic()))
+            newer = [each for each in self.resolver.newest() if each not in addresses]
+            if not newer or (call is not None and call.expired):
+                raise
+            self.sock = _first_open(newer, end_s)
         if call is not None:
             call.failure = None
         self.sock.settimeout(limit_s)
+
+
+def _first_open(addresses: Sequence[Address], end_s: float | None) -> socket.socket:
+    """Connected to the first of them that answers; one that does not leaves time for the others. Raises the last one's OSError."""
+    call = current_call()
+    *others, last = addresses
+    for untried, address in zip(range(len(addresses), 1, -1), others, strict=True):
+        try:
+            return _connected(address, end_s, untried)
+        except OSError:
+            if call is not None and call.expired:
+                raise
+    return _connected(last, end_s, 1)
+
+
+def _connected(to: Address, end_s: float | None, untried: int) -> socket.socket:
+    family, address = to
+    sock = _Socket(family, socket.SOCK_STREAM)
+    sock.settimeout(None if end_s is None else max(_LEAST_S, (end_s - time.monotonic()) / untried))
+    return _open(sock, address)
 
 
 class SshConnection(urllib3.connection.HTTPConnection):

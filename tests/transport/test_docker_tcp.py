@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from phm.transport.docker import DockerEngine
+from phm.transport.docker import DockerEngine, EngineNotConnected
 from tests.fakes.until import until
 
 LONG_S = 60.0
@@ -89,3 +89,22 @@ def test_a_name_server_that_hangs_delays_no_request_to_a_known_address(
     finally:
         release.set()
         engine.close()
+
+
+def test_an_engine_that_has_another_address_now_is_reached_by_the_same_call(
+    port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A proxy that was recreated: what was known is wrong, and the look-up has the new address."""
+    kind, moved = socket.SOCK_STREAM, threading.Event()
+
+    def look_up(host: str, port: int, *_: Any, **__: Any) -> list[Any]:
+        address = "127.0.0.1" if moved.is_set() else "127.0.0.2"
+        return [(socket.AF_INET, kind, 6, "", (address, port))]
+
+    answering(monkeypatch, look_up)
+    engine = DockerEngine(f"tcp://proxy:{port}", timeout_s=LONG_S)
+    with pytest.raises(EngineNotConnected):
+        engine.ping()
+    moved.set()
+    engine.ping()
+    engine.close()
