@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
-LATE_S = {"container_created": 65.0, "healthcheck_hangs": 35.0}
-"""PHM's wait for a first start with a period of the check; the engine's timeout of a HEALTHCHECK, 30 s, with one of its period."""
+from phm_checks.container import UNSTARTED_S, Container
+from phm_checks.health import Health
+
+TIMEOUT_S = 30.0
+"""The engine's, of the application's HEALTHCHECK."""
+LATE_S = {
+    "container_created": UNSTARTED_S + Container.period_s,
+    "healthcheck_hangs": TIMEOUT_S + Health.period_s,
+}
 
 
 def known_s(fault: str, evidence_s: float | None) -> float:
