@@ -10,15 +10,21 @@ from sitl.simulation.fleet import Fleet
 from tests.swarm.test_lost_leader import Watched
 
 
+def flying(agents: int) -> Watched:
+    """A swarm in which all receive each other, for a minute."""
+    watched = Watched(agents)
+    watched.run(60)
+    return watched
+
+
 def stop_receiving(fleet: Fleet, agent: int) -> None:
     fleet.cut = {(other, agent) for other in fleet.agents if other != agent}
 
 
 def test_leader_that_receives_no_agent_is_replaced() -> None:
     """It would not know that another agent is lost; and it does not contradict the next leader."""
-    watched = Watched(8)
+    watched = flying(8)
     fleet = watched.fleet
-    watched.run(60)
     stop_receiving(fleet, 1)
     watched.run(20)
     assert {agent.probe.snapshot().leader for number, agent in fleet.agents.items() if number != 1} == {2}
@@ -31,9 +37,8 @@ def test_leader_that_receives_no_agent_is_replaced() -> None:
 
 
 def test_a_leader_that_receives_agents_again_leads_again() -> None:
-    watched = Watched(8)
+    watched = flying(8)
     fleet = watched.fleet
-    watched.run(60)
     stop_receiving(fleet, 1)
     watched.run(200)
     fleet.cut = set()
@@ -42,9 +47,8 @@ def test_a_leader_that_receives_agents_again_leads_again() -> None:
 
 
 def test_the_loss_of_all_others_is_reported_by_the_last_one() -> None:
-    watched = Watched(3)
+    watched = flying(3)
     fleet = watched.fleet
-    watched.run(60)
     fleet.lines()
     fleet.down.add(1)
     watched.run(30)
@@ -55,9 +59,8 @@ def test_the_loss_of_all_others_is_reported_by_the_last_one() -> None:
 
 def test_an_agent_that_receives_none_is_one_report() -> None:
     """Not one about each agent that it does not receive; and it lasts for as long as the fault does."""
-    watched = Watched(8)
+    watched = flying(8)
     fleet = watched.fleet
-    watched.run(60)
     fleet.lines()
     stop_receiving(fleet, 5)
     fleet.no_gcs = {5}
@@ -68,9 +71,8 @@ def test_an_agent_that_receives_none_is_one_report() -> None:
 
 def test_an_agent_that_receives_one_that_this_agent_does_not_is_not_blamed() -> None:
     """A01's transmitter fails, and A03 is out of its range: A02 receives A03, so its receiver works."""
-    watched = Watched(3)
+    watched = flying(3)
     fleet = watched.fleet
-    watched.run(60)
     fleet.cut = {(1, 2), (1, 3), (3, 1)}
     watched.run(60)
     assert 2 not in fleet.agents[1].probe.snapshot().receive_none
@@ -78,9 +80,8 @@ def test_an_agent_that_receives_one_that_this_agent_does_not_is_not_blamed() -> 
 
 def test_an_agent_that_only_one_receives_does_not_lead() -> None:
     """A08 is at the edge of the range and receives A01 alone: A01's receiver works, and nothing is split."""
-    watched = Watched(8)
+    watched = flying(8)
     fleet = watched.fleet
-    watched.run(60)
     fleet.ground.clear()
     fleet.cut = {(8, other) for other in range(1, 8)} | {(other, 8) for other in range(2, 8)}
     watched.run(60)
@@ -90,9 +91,8 @@ def test_an_agent_that_only_one_receives_does_not_lead() -> None:
 
 def test_what_it_reported_alone_it_also_ends() -> None:
     """The leader knows of no such failure."""
-    watched = Watched(8)
+    watched = flying(8)
     fleet = watched.fleet
-    watched.run(60)
     stop_receiving(fleet, 5)
     watched.run(60)
     fleet.cut = set()
