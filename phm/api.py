@@ -299,8 +299,7 @@ def stale(summary: str, *, brief: str = "", values: Values | None = None) -> Res
 
 def worst(results: Iterable[Result]) -> Result:
     """The first of the worst results: ERROR, WARN, STALE, OK."""
-    rank = {Level.ERROR: 0, Level.WARN: 1, Level.STALE: 2, Level.OK: 3}
-    return min(results, key=lambda result: rank[result.level])
+    return max(results, key=lambda result: result.level.severity)
 
 
 def topic_id(name: str) -> str:

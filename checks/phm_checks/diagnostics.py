@@ -21,7 +21,6 @@ VALUES = 8
 
 _LEVELS = {0: Level.OK, 1: Level.WARN, 2: Level.ERROR}
 _STALE_IS = {"error": Level.ERROR, "warn": Level.WARN, "stale": Level.STALE}
-_RANK = {Level.ERROR: 0, Level.WARN: 1, Level.STALE: 2, Level.OK: 3}
 
 
 @dataclass(frozen=True)
@@ -121,7 +120,7 @@ class Diagnostics(api.Check):
         evaluated = [one for one in evaluated if one.fact.age_s <= world.clock.mono() - began_s]
         if not evaluated:
             return self._not_received(item, fact, world.clock.mono() - began_s)
-        worst = min(evaluated, key=lambda one: _RANK[one.level])
+        worst = max(evaluated, key=lambda one: one.level.severity)
         if worst.level is Level.OK:
             return api.ok(_ok_summary(evaluated), values={"received": len(evaluated)})
         return _bad(worst, evaluated, item.container)

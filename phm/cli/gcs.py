@@ -6,22 +6,19 @@ import select
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from phm.cli.gcs_options import check_ports, link_options, link_settings, make_station
+from phm.cli.gcs_options import link_options, link_settings, make_station, running
 from phm.cli.gcs_requests import REQUESTS
-from phm.cli.gcs_web import GroundPart, WebChoice, make_parts, show_record
+from phm.cli.gcs_web import WebChoice, make_parts, show_record
 from phm.cli.web_options import address, web_options
 from phm.core import threads
 from phm.core.signals import Signals
-
-if TYPE_CHECKING:
-    from phm.gcs.station import GroundStation
 
 ONCE_S = 5.0
 POLL_S = 0.2
@@ -193,8 +190,7 @@ def command(
     good = True
     with _ending() as stop:
         show, console = ConsoleView(station, clock, _patient(stop), notes, warn), terminal.console()
-        with _running(station, parts):
-            check_ports(station)
+        with running(station, parts):
             limit_s = seconds if seconds is not None else ONCE_S if once else None
             end = None if limit_s is None else clock.mono() + limit_s
             if once:
@@ -226,21 +222,6 @@ def _patient(stop: threading.Event) -> Callable[[str], None]:
         click.echo(text)
 
     return echo
-
-
-@contextmanager
-def _running(station: GroundStation, parts: Sequence[GroundPart]) -> Iterator[None]:
-    for part in parts:
-        part.start()
-    station.start()
-    try:
-        if missing := threads.problem():
-            raise click.ClickException(missing)
-        yield
-    finally:
-        station.close()
-        for part in parts:
-            part.close()
 
 
 @contextmanager

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from phm.core import threads
+
 if TYPE_CHECKING:
+    from phm.cli.gcs_web import GroundPart
     from phm.core.clock import Clock
     from phm.core.settings import MavlinkSettings
     from phm.gcs.station import GroundStation
@@ -102,7 +105,7 @@ def make_station(
         raise click.UsageError(str(problem).replace("mavlink.signing.key:", "--key:")) from None
 
 
-def check_ports(station: GroundStation) -> None:
+def _check_ports(station: GroundStation) -> None:
     """Exits when a port to listen on is in use."""
     taken = station.taken(OPEN_S)
     if taken:
@@ -113,11 +116,17 @@ def check_ports(station: GroundStation) -> None:
 
 
 @contextmanager
-def running(station: GroundStation) -> Iterator[None]:
-    """Starts and closes the station."""
+def running(station: GroundStation, parts: Sequence[GroundPart] = ()) -> Iterator[None]:
+    """Starts and closes the station and what shows or records it. Exits when a thread or a port is missing."""
+    for part in parts:
+        part.start()
     station.start()
     try:
-        check_ports(station)
+        if missing := threads.problem():
+            raise click.ClickException(missing)
+        _check_ports(station)
         yield
     finally:
         station.close()
+        for part in parts:
+            part.close()

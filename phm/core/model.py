@@ -37,6 +37,17 @@ class Level(IntEnum):
         """WARN or ERROR: a problem is known."""
         return self in (Level.WARN, Level.ERROR)
 
+    @property
+    def severity(self) -> int:
+        """For the worst of several: OK, STALE, WARN, ERROR.
+
+        STALE is worse than OK, so that an unknown unit is never shown as healthy, but less bad than known problems.
+        """
+        return _SEVERITY[self]
+
+
+_SEVERITY = (0, 2, 3, 1)
+
 
 class Slot(IntEnum):
     """Position in the status array; 1 to 8 are numbered as in Fig. 5 of the PHM paper."""
@@ -406,16 +417,12 @@ def worst_by_slot(units: tuple[UnitState, ...]) -> dict[Slot, Level]:
     """Return the worst level of each used slot, in the order ERROR, WARN, STALE, OK.
 
     A slot in which all units are not applicable is not used: nothing in it was evaluated.
-
-    STALE is worse than OK, so that a slot with an unknown unit is never shown as healthy, but less
-    bad than WARN and ERROR, which are known problems.
     """
-    rank = {Level.OK: 0, Level.STALE: 1, Level.WARN: 2, Level.ERROR: 3}
     slots: dict[Slot, Level] = {}
     for state in units:
         if state.not_applicable:
             continue
         seen = slots.get(state.slot)
-        if seen is None or rank[state.level] > rank[seen]:
+        if seen is None or state.level.severity > seen.severity:
             slots[state.slot] = state.level
     return slots

@@ -25,7 +25,6 @@ MAX_DETAILS = 4
 MAX_ADVICE, MAX_CONTAINERS = 8, 64
 MAX_CHANGES, AGAIN_S = 16, 5.0
 """An agent with two links to the ground sends everything twice, in frames with different sequence numbers."""
-_RANK = {Level.OK: 0, Level.STALE: 1, Level.WARN: 2, Level.ERROR: 3}
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +126,7 @@ class Agent:
     @property
     def worst(self) -> Level | None:
         """The worst level by its last status word and newer lines; None: it reported no slot."""
-        known = max(self.current.values(), key=_RANK.__getitem__, default=None)
+        known = max(self.current.values(), key=lambda level: level.severity, default=None)
         return Level.STALE if known is Level.OK and self.partial else known
 
     def heartbeat(self, beat: Heartbeat) -> dict[Slot, tuple[Level, Level]]:
@@ -229,12 +228,12 @@ class Agent:
         """A known failure ended: the worst of those that are left counts, and without any the slot is OK."""
         if self.current.get(slot, Level.STALE).bad:
             levels = (bad.level for bad in left.values())
-            self.newer[slot] = max(levels, key=_RANK.__getitem__, default=Level.OK)
+            self.newer[slot] = max(levels, key=lambda level: level.severity, default=Level.OK)
 
     def _worse(self, line: ParsedLine, level: Level, at: Stamp) -> None:
         """A unit fails. A refresh repeats the worst one, whose own line may have been lost, and may know no other. GAVE UP is about
         a known one, too."""
-        if line.slot and _RANK[level] > _RANK[self.current.get(Slot(line.slot), Level.STALE)]:
+        if line.slot and level.severity > self.current.get(Slot(line.slot), Level.STALE).severity:
             self.newer[Slot(line.slot)] = level
         units = self.bad.setdefault(line.slot, OrderedDict())
         known = next((text for text in units if line.is_about(text)), None)

@@ -93,7 +93,7 @@ class AgentObserver:
             pilot.start()
         if ros is not None:
             self.progress("discovering the ROS graph", 0.0)
-            ros.discover(self.request.for_s)
+            ros.discover()
         self.progress(f"watching {'ROS topics' if ros is not None else 'the agent'}", self.request.for_s)
         tick, end_s = threading.Event(), self.clock.mono() + self.request.for_s
         while self.clock.mono() < end_s:

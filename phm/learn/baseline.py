@@ -90,7 +90,7 @@ def learn(seen: Observations, agent_id: int | None = None) -> Baseline:
     nodes = [name for name, stays in sorted(seen.nodes.items()) if stays and not _TOOLS.search(name)]
     used = frozenset(nodes)
     return Baseline(
-        containers=tuple(_container(one, seen, folders) for one in seen.containers),
+        containers=tuple(_container(one, folders) for one in seen.containers),
         nodes=tuple(_node(name, seen) for name in nodes),
         topics=tuple(found for one in seen.topics if (found := _topic(one, seen, used)) is not None),
         agent=_agent(seen, agent_id),
@@ -113,7 +113,7 @@ def manifest_name(folder: ObservedFolder) -> str:
 # ---------------------------------------------------------------- containers
 
 
-def _container(one: ObservedContainer, seen: Observations, folders: Mapping[str, ObservedFolder]) -> Learned:
+def _container(one: ObservedContainer, folders: Mapping[str, ObservedFolder]) -> Learned:
     fact = one.fact
     values: dict[str, Any] = {"name": fact.name}
     notes: dict[str, str] = {}

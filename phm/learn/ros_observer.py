@@ -51,8 +51,8 @@ class RosObserver:
         self._others: set[str] = set()
         self._next_s = 0.0
 
-    def discover(self, limit_s: float) -> None:
-        """Find nodes and topics, then begin to measure the topics' rates. limit_s: of the watch; discovery takes longer if needed."""
+    def discover(self) -> None:
+        """Find nodes and topics, then begin to measure the topics' rates."""
         fact = self._stable()
         if fact is None:
             return

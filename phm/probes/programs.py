@@ -86,7 +86,7 @@ class Programs:
         if fact is None or not fact.running:
             raise CannotTell(f"{container} is not running, so {argv[0]} cannot be started in it")
         key, began = (container, tuple(argv)), self._clock.mono()
-        self._demand_ended(key, fact)
+        self._demand_ended(key)
         made = self._engine.exec_create(fact.id, argv)
         self._unfinished[key] = (made, began)
         try:
@@ -106,7 +106,7 @@ class Programs:
             )
         return ProgramFact(code, _text(output or errors), self._clock.mono() - began)
 
-    def _demand_ended(self, key: tuple[str, tuple[str, ...]], fact: ContainerFact) -> None:
+    def _demand_ended(self, key: tuple[str, tuple[str, ...]]) -> None:
         """Docker cannot end a program in a container: another one is not started while it runs."""
         earlier = self._unfinished.get(key)
         if earlier is None:

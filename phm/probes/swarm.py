@@ -98,7 +98,7 @@ class SwarmMonitor:
             self._fresh_s = min(FRESH_S, FRESH_PERIODS * period_s)
             receives = not any(name in closed and now - at <= LINK_S for name, at in self._links.items())
             self._peers.watch(now, period_s, receives=receives)
-            agreed = compute_consensus(self._peers, now, gcs)
+            agreed = compute_consensus(self._peers, now)
             leader = self._election.leader(agreed, gcs, now)
             duplicate_ids, unlisted = self._peers.duplicate_ids(now), self._peers.unlisted(now)
             recent = [name for name, at in self._links.items() if now - at <= LINK_S]

@@ -330,23 +330,16 @@ class ActionCatalog:
 
         A step that is not installed stays, so that it is reported.
         """
-        if not target.configured:
-            return None
-        return frozenset(
-            step
-            for step in ladder_of(fault.result.condition, self._settings.recovery)
-            if self._applies(step, target, fault)
-        )
+        return frozenset(self._steps(target, fault)) if target.configured else None
 
     def is_last(self, target: Target, fault: Fault, name: str) -> bool:
         """Whether no step of the fault's ladder follows this one."""
-        usable = self.usable(target, fault)
-        steps = [
-            step
-            for step in ladder_of(fault.result.condition, self._settings.recovery)
-            if usable is None or step in usable
-        ]
-        return name not in steps[:-1]
+        return name not in self._steps(target, fault)[:-1]
+
+    def _steps(self, target: Target, fault: Fault) -> tuple[str, ...]:
+        """The fault's ladder without steps that do not apply; all of it when the target is not configured."""
+        ladder = ladder_of(fault.result.condition, self._settings.recovery)
+        return tuple(step for step in ladder if not target.configured or self._applies(step, target, fault))
 
     def _applies(self, step: str, target: Target, fault: Fault) -> bool:
         action = self.get(step)

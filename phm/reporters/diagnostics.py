@@ -14,7 +14,6 @@ from phm import __version__
 from phm.core.model import (
     ActionEvent,
     Event,
-    Fault,
     FaultClosed,
     FaultOpened,
     Level,
@@ -24,6 +23,7 @@ from phm.core.model import (
 )
 from phm.facts.ros import DiagnosticFact
 from phm.reporters.base import DiagnosticsPublisher, Reporter, ReporterContext
+from phm.reporters.open_faults import OpenFaults
 from phm.wire import status_word
 from phm.wire.report import NOT_APPLICABLE, array_text, iso, status_array, values_json
 from phm.wire.text import one_line
@@ -35,9 +35,7 @@ MAX_VALUE = 120
 MAX_VALUES = 12
 """Measured values of one unit that are published; the log has all of them."""
 MAX_UNITS = 500
-_OPEN_FAULTS = 256
 _NOT_TAKEN = 5
-_RANK = {Level.OK: 0, Level.STALE: 1, Level.WARN: 2, Level.ERROR: 3}
 
 
 class DiagnosticsReporter(Reporter):
@@ -50,7 +48,7 @@ class DiagnosticsReporter(Reporter):
     def __init__(self, context: ReporterContext, port: DiagnosticsPublisher) -> None:
         self._context, self._agent = context, context.settings.agent
         self._port = port
-        self._open: dict[str, Fault] = {fault.id: fault for fault in context.restored}
+        self._open = OpenFaults(context.restored)
         self._actions: dict[str, str] = {}
         self._units: dict[str, tuple[UnitState, str, DiagnosticFact]] = {}
         """The last status of each unit, with what it was made of: most units do not change from one array to the next."""
@@ -64,13 +62,8 @@ class DiagnosticsReporter(Reporter):
         return cls(context, context.ros)
 
     def handle(self, event: Event) -> None:
-        if isinstance(event, FaultOpened):
-            self._open[event.fault.id] = event.fault
-            if len(self._open) > _OPEN_FAULTS:
-                self._forget(next(iter(self._open)))
-        elif isinstance(event, FaultClosed):
-            self._forget(event.fault.id)
-        elif isinstance(event, ActionEvent) and event.fault in self._open:
+        self._actions.pop(self._open.take(event), None)
+        if isinstance(event, ActionEvent) and event.fault in self._open:
             self._actions[event.fault] = f"{event.action} {event.phase.value}"
         if self._context.clock.mono() - self._sent_at >= ALONG_S:
             self.tick()
@@ -98,10 +91,6 @@ class DiagnosticsReporter(Reporter):
     def _send(self, statuses: dict[str, DiagnosticFact]) -> None:
         self._sent_at = self._context.clock.mono()
         self._not_taken = self._port.publish(statuses)
-
-    def _forget(self, fault: str) -> None:
-        self._open.pop(fault, None)
-        self._actions.pop(fault, None)
 
     def _statuses(self, states: Sequence[UnitState]) -> dict[str, DiagnosticFact]:
         prefix = f"phm/{self._agent.name}"
@@ -138,7 +127,7 @@ class DiagnosticsReporter(Reporter):
         return DiagnosticFact(0.0, int(state.level), self._cut(message), self._hardware, ordered)
 
     def _summary(self, states: Sequence[UnitState]) -> DiagnosticFact:
-        level = max((state.level for state in states), key=_RANK.__getitem__, default=Level.STALE)
+        level = max((state.level for state in states), key=lambda level: level.severity, default=Level.STALE)
         evaluated = [state for state in states if not state.not_applicable]
         count = {kind: sum(1 for state in evaluated if state.level is kind) for kind in Level}
         values = {

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, Protocol
 
-from phm.core.model import Event, Fault, FaultClosed, FaultOpened, Report, Transition
+from phm.core.model import Event, FaultClosed, FaultOpened, Report, Transition
 from phm.reporters.base import Reporter, ReporterContext
+from phm.reporters.open_faults import OpenFaults
 from phm.transport.zenoh_link import FleetFact, FleetKeys, ZenohLink
 from phm.wire import fleet_status, status_word
 
@@ -18,7 +19,6 @@ ALONG_S = 0.1
 TICK_S = 0.25
 AGAIN_S = 1.0
 """A change is published once more after this time: in a burst of many agents a router drops what a reader cannot take."""
-_OPEN_FAULTS = 256
 _ATTEMPTS = 2
 """A fleet that is unreachable for this many deadlines is reported as a problem: a lost packet or a roaming radio is not."""
 
@@ -43,7 +43,7 @@ class FleetReporter(Reporter):
     def __init__(self, context: ReporterContext, link: FleetLink) -> None:
         self._context, self._link = context, link
         self._settings, self._agent = context.settings.fleet, context.settings.agent
-        self._open: dict[str, Fault] = {fault.id: fault for fault in context.restored}
+        self._open = OpenFaults(context.restored)
         self._sequence = 0
         self._complete = self._changed = False
         self._sent_at, self._again_at = float("-inf"), float("inf")
@@ -62,13 +62,8 @@ class FleetReporter(Reporter):
         return cls(context, ZenohLink(fleet, keys, context.clock))
 
     def handle(self, event: Event) -> None:
-        if isinstance(event, FaultOpened):
-            self._open[event.fault.id] = event.fault
-            if len(self._open) > _OPEN_FAULTS:
-                del self._open[next(iter(self._open))]
-        elif isinstance(event, FaultClosed):
-            self._open.pop(event.fault.id, None)
-        elif isinstance(event, Report):
+        self._open.take(event)
+        if isinstance(event, Report):
             if self._complete:
                 return
             self._complete = True

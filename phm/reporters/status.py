@@ -28,6 +28,7 @@ from phm.core.model import (
     worst_by_slot,
 )
 from phm.reporters.base import Reporter, ReporterContext
+from phm.reporters.open_faults import OpenFaults
 from phm.wire import status_word
 from phm.wire.report import fault_json, iso, report_json
 from phm.wire.status_file import NAME, place
@@ -38,7 +39,6 @@ VERSION = 2
 CLOSED_FAULTS = 20
 ALONG_S = 0.1
 """Changes within this time of the last writing wait for the next tick, so that a burst costs one writing."""
-_OPEN_FAULTS = 256
 
 
 class StatusReporter(Reporter):
@@ -52,7 +52,7 @@ class StatusReporter(Reporter):
         self._context, self._agent, self._interval_s = context, context.settings.agent, context.settings.interval_s
         self._path = os.path.join(context.settings.run_dir, NAME)
         self._place = place()
-        self._open: dict[str, Fault] = {fault.id: fault for fault in context.restored}
+        self._open = OpenFaults(context.restored)
         self._closed: deque[Fault] = deque(maxlen=CLOSED_FAULTS)
         self._written_at = float("-inf")
         self._problem = ""
@@ -63,12 +63,8 @@ class StatusReporter(Reporter):
         return cls(context)
 
     def handle(self, event: Event) -> None:
-        if isinstance(event, FaultOpened):
-            self._open[event.fault.id] = event.fault
-            if len(self._open) > _OPEN_FAULTS:
-                del self._open[next(iter(self._open))]
-        elif isinstance(event, FaultClosed):
-            self._open.pop(event.fault.id, None)
+        self._open.take(event)
+        if isinstance(event, FaultClosed):
             self._closed.append(event.fault)
         if self._context.clock.mono() - self._written_at >= ALONG_S:
             self._write()

@@ -75,7 +75,7 @@ def messages(record: Record, faults: list[Json], begin: float, end: float) -> It
             if begin <= t <= end:
                 yield t, FAULTS, [body]
             continue
-        changed = shown[place].apply(t, what, body)
+        changed = shown[place].apply(what, body)
         if changed and begin <= t <= end:
             yield t, DIAGNOSTICS, changed
     yield end, DIAGNOSTICS, [status for agent in shown for status in agent.all()]
@@ -90,7 +90,7 @@ class _Shown:
     level: str = "STALE"
     runs: bool = False
 
-    def apply(self, t: float, what: str, body: Any) -> list[Status]:
+    def apply(self, what: str, body: Any) -> list[Status]:
         """Apply a change of the agent; return the statuses that changed."""
         if what == "level":
             self.level, self.runs = body, True

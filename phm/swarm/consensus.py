@@ -75,8 +75,8 @@ class Consensus:
         return tuple(agent for agent, status in self.statuses.items() if status.state is MemberState.LOST)
 
 
-def compute_consensus(peers: Peers, now: float, own_gcs: bool) -> Consensus:
-    """The state of the swarm. own_gcs: whether this agent receives a ground station."""
+def compute_consensus(peers: Peers, now: float) -> Consensus:
+    """The state of the swarm."""
     seen = peers.states(now)
     views = {
         agent: view for agent, peer in peers.all().items() if seen[agent] in THERE and (view := peer.fresh_view(now))

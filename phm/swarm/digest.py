@@ -34,7 +34,6 @@ _LAYERS: Mapping[Slot, str] = {
     Slot.RADIO: "RADIO",
     Slot.PEERS: "PEERS",
 }
-_GRAVITY = {Level.OK: 0, Level.STALE: 1, Level.WARN: 2, Level.ERROR: 3}
 _WORD = {Level.OK: "OK", Level.STALE: "OK", Level.WARN: "WARN", Level.ERROR: "FAIL"}
 
 
@@ -57,7 +56,7 @@ def worst_slot(word: int, *, no_gcs: bool = False) -> tuple[Level, Slot | None]:
         member_levels = {slot: level for slot, level in member_levels.items() if not _is_path(slot, level)} or {
             Slot.COMPANION: Level.OK
         }
-    slot = max(member_levels, key=lambda entry: (_GRAVITY[member_levels[entry]], -entry))
+    slot = max(member_levels, key=lambda entry: (member_levels[entry].severity, -entry))
     return member_levels[slot], slot
 
 
@@ -84,9 +83,9 @@ def digest_line(levels: Mapping[int, tuple[Level, str]]) -> str:
     healthy = sum(level is Level.OK for level, _ in levels.values())
     bad = sorted(
         ((agent, level, why) for agent, (level, why) in levels.items() if level is not Level.OK and why),
-        key=lambda entry: (-_GRAVITY[entry[1]], entry[2] != "lost", entry[0]),
+        key=lambda entry: (-entry[1].severity, entry[2] != "lost", entry[0]),
     )
-    gravest = max((level for level, _ in levels.values()), key=lambda level: _GRAVITY[level], default=Level.STALE)
+    gravest = max((level for level, _ in levels.values()), key=lambda level: level.severity, default=Level.STALE)
     text = f"SWARM {healthy}/{len(levels)} {_WORD[gravest]}"
     for number, (agent, _, why) in enumerate(bad):
         piece = f" {agent_name(agent)}:{why}"

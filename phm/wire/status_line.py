@@ -58,7 +58,6 @@ MISSION_SLOTS = frozenset(ARRAY_SLOTS)
 """An ERROR in one of these means lost mission function; in others, lost redundancy."""
 
 _WORD = {Level.OK: "OK", Level.WARN: "WARN", Level.ERROR: "FAIL", Level.STALE: "STALE"}
-_RANK = {Level.ERROR: 0, Level.WARN: 1, Level.STALE: 2, Level.OK: 3}
 
 
 class Severity(IntEnum):
@@ -184,7 +183,7 @@ def _held(ranked: Sequence[UnitState]) -> UnitState | None:
 
 def worst_first(units: Sequence[UnitState]) -> list[UnitState]:
     """ERROR, WARN, STALE, OK; within a level by slot, and in the given order within a slot."""
-    return sorted(units, key=lambda state: (_RANK[state.level], state.slot))
+    return sorted(units, key=lambda state: (-state.level.severity, state.slot))
 
 
 def brief_of(state: UnitState) -> str:

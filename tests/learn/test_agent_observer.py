@@ -217,7 +217,7 @@ def test_the_graph_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ros_observer, "RosSupervisor", Supervisor)
     clock = PassingClock()
     seen = RosObserver(testing.settings().ros, "agent_1", clock)
-    seen.discover(10.0)
+    seen.discover()
     for _ in range(10):
         clock.advance(1.0)
         seen.tick()
@@ -237,6 +237,6 @@ def test_an_empty_graph_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ros_observer, "RosSupervisor", Supervisor)
     ros = RosObserver(testing.settings().ros, "agent_1", PassingClock())
     assert not ros.into(Observations(10.0)).ros_watched
-    ros.discover(10.0)
+    ros.discover()
     found = ros.into(Observations(10.0))
     assert found.ros_watched and "no ROS node was found" in found.problems[0]

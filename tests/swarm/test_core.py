@@ -52,7 +52,7 @@ class Swarm:
         self.cut |= {pair for a in one for b in other for pair in ((a, b), (b, a))}
 
     def agreed(self, by: int) -> Consensus:
-        return compute_consensus(self.peers[by], self.now, by in self.gcs)
+        return compute_consensus(self.peers[by], self.now)
 
 
 def test_all_agents_agree_that_all_are_alive() -> None:

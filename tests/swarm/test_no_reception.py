@@ -113,5 +113,5 @@ def test_the_last_agent_in_the_air_leads() -> None:
         peers.heartbeat(agent, 1, 21, leaving=True)
     for now in range(22, 60):
         peers.watch(now, 2.0)
-        leader = election.leader(compute_consensus(peers, now, True), True, now)
+        leader = election.leader(compute_consensus(peers, now), True, now)
     assert leader == 1

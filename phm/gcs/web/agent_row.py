@@ -20,7 +20,7 @@ SLOTS = {str(int(slot)): slot.short for slot in Slot}
 PERIOD_S = 2.0
 """The daemon writes its status this often (`phm.reporters.status`)."""
 MAX_TEXT = 500
-_RANK = {level: rank for rank, level in enumerate(("OK", Level.STALE.name, Level.WARN.name, Level.ERROR.name))}
+_RANK = {level.name: level.severity for level in Level}
 _ALIVE, _LOST, _NEVER = "alive", "lost", "never received"
 
 

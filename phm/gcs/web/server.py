@@ -46,7 +46,7 @@ class WebServer:
     """Listens once it is constructed. Raises OSError if it cannot. options: checked (`ListenOptions.check`)."""
 
     def __init__(self, site: Site, options: ListenOptions, add_routes: AddRoutes = all_routes) -> None:
-        self._site, self._options = site, options
+        self._options = options
         family = socket.AF_INET6 if ":" in options.host else socket.AF_INET
         host = "127.0.0.1" if options.host == "localhost" else options.host
         self._listener = socket.create_server((host, options.port), family=family, backlog=MAX_CONNECTIONS)

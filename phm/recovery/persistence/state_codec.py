@@ -6,8 +6,8 @@ ages are differences of UTC, never negative. `phm.recovery.persistence.state_fil
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from phm.core.clock import MAX_STEPS
@@ -84,75 +84,105 @@ def decode(document: Any, boot: str, now: Stamp, window_s: float) -> PersistedSt
     if document.get("v") != VERSION:
         raise InvalidState(f"its version is {str(document.get('v'))[:20]!r}, this PHM writes {VERSION}")
     try:
-        same = bool(boot) and document["boot"] == boot
-
-        def carried(stamp: Stamp, most_s: float) -> Stamp:
-            return convert_time(stamp, now, same_boot=same, most_s=most_s)
-
-        def attempt(body: Any) -> AttemptRecord:
-            when = carried(_read_stamp(body["at"]), max(window_s, CLEAN_S))
-            unit, condition, action = (str(body[key]) for key in ("unit", "condition", "action"))
-            worked, reset, uncounted, partly = (
-                body.get(key) is True for key in ("worked", "backoff_reset", "not_counted", "partly")
-            )
-            took_s = float(body.get("took_s", 0.0))
-            return AttemptRecord(when.mono, unit, condition, action, worked, reset, uncounted, partly, took_s)
-
-        def fault(body: Any) -> Fault:
-            return _read_fault(body, carried(_read_stamp(body["opened"]), FAULT_AGE_S))
-
-        def moment(body: Any) -> float | None:
-            return None if body is None else carried(_read_stamp(body), max(window_s, CLEAN_S)).mono
-
-        def last_known(body: Any) -> LastArmedState | None:
-            if body is None:
-                return None
-            since = carried(_read_stamp(body["since"]), FAULT_AGE_S)
-            return LastArmedState(body["armed"] is True, since.mono, body.get("contradicted") is True)
-
-        def generation(body: Any) -> Generation:
-            name, started, phm_for = (str(body[key])[:MAX_TEXT] for key in ("id", "started", "phm_for"))
-            return Generation(
-                name, started, moment(body["since"]), moment(body["made"]), StartedBy(body["by"]), phm_for
-            )
-
-        recovery = RecoveryState(
-            {
-                str(target): tuple(sorted((attempt(each) for each in made[-KEPT:]), key=lambda made: made.at))
-                for target, made in list(document["attempts"].items())[:MAX_TARGETS]
-            },
-            {
-                str(name): PersistedCase(
-                    case["refused"] is True,
-                    tuple(str(text) for text in case["reported"][:MAX_REPORTED]),
-                    str(case["approved"])[:MAX_TEXT],
-                    str(case.get("advised", ""))[:MAX_TEXT],
-                )
-                for name, case in list(document["cases"].items())[:MAX_FAULTS]
-            },
-            {
-                str(target): UnfinishedAction(
-                    str(action["fault"]), attempt(action["attempt"]), action.get("returned") is True
-                )
-                for target, action in list(document["under_way"].items())[:MAX_TARGETS]
-            },
-            {str(target): generation(body) for target, body in list(document["generations"].items())[:MAX_TARGETS]},
-            last_known(document.get("armed")),
-            {
-                str(key)[:MAX_TEXT]: str(who)[:MAX_TEXT]
-                for key, who in list(document.get("unfinished", {}).items())[:MAX_TARGETS]
-            },
-            tuple(_read_hold(body, now, same_boot=same) for body in document.get("holds", [])[:MAX_HOLDS]),
-            tuple(str(key)[:MAX_TEXT] for key in document.get("stops", [])[:MAX_TARGETS]),
-            tuple((str(on)[:MAX_TEXT], str(begin)[:MAX_TEXT]) for on, begin in document.get("windows", [])[-MAX_DONE:]),
-            tuple(_read_lowered(body) for body in document.get("lowered", [])[:MAX_TARGETS]),
+        clocks = _Clocks(bool(boot) and document["boot"] == boot, now, max(window_s, CLEAN_S))
+        clock = _read_clock_steps(document)
+        return PersistedState(
+            faults=tuple(_read_fault(body, clocks) for body in document["faults"][:MAX_FAULTS]),
+            given_up=tuple(_read_fault(body, clocks) for body in document["given_up"][:MAX_FAULTS]),
+            recovery=_read_recovery(document, clocks),
+            clock=clock if clocks.same_boot else (),
+            fault_count=int(document.get("fault_count", 0)),
         )
-        faults = tuple(fault(body) for body in document["faults"][:MAX_FAULTS])
-        clock = tuple((float(offset), float(begin)) for offset, begin in document.get("clock", [])[-MAX_STEPS:])
-        given_up = tuple(fault(body) for body in document["given_up"][:MAX_FAULTS])
-        return PersistedState(faults, given_up, recovery, clock if same else (), int(document.get("fault_count", 0)))
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
         raise InvalidState(f"a part of it is wrong: {type(error).__name__}: {str(error)[:80]}") from None
+
+
+@dataclass(frozen=True, slots=True)
+class _Clocks:
+    """Puts moments of an earlier run on the monotonic clock of now. attempts_s: the maximum age of an attempt."""
+
+    same_boot: bool
+    now: Stamp
+    attempts_s: float
+
+    def carried(self, body: Any, most_s: float) -> Stamp:
+        return convert_time(_read_stamp(body), self.now, same_boot=self.same_boot, most_s=most_s)
+
+    def moment(self, body: Any) -> float | None:
+        return None if body is None else self.carried(body, self.attempts_s).mono
+
+
+def _read_recovery(document: dict[str, Any], clocks: _Clocks) -> RecoveryState:
+    return RecoveryState(
+        attempts={
+            str(target): tuple(sorted((_read_attempt(each, clocks) for each in made[-KEPT:]), key=lambda made: made.at))
+            for target, made in _first(document["attempts"], MAX_TARGETS)
+        },
+        cases={str(name): _read_case(body) for name, body in _first(document["cases"], MAX_FAULTS)},
+        under_way={
+            str(target): UnfinishedAction(
+                str(body["fault"]), _read_attempt(body["attempt"], clocks), body.get("returned") is True
+            )
+            for target, body in _first(document["under_way"], MAX_TARGETS)
+        },
+        generations={
+            str(target): _read_generation(body, clocks) for target, body in _first(document["generations"], MAX_TARGETS)
+        },
+        armed=_read_armed(document.get("armed"), clocks),
+        unfinished={
+            str(key)[:MAX_TEXT]: str(who)[:MAX_TEXT] for key, who in _first(document.get("unfinished", {}), MAX_TARGETS)
+        },
+        holds=tuple(_read_hold(body, clocks) for body in document.get("holds", [])[:MAX_HOLDS]),
+        stops=tuple(str(key)[:MAX_TEXT] for key in document.get("stops", [])[:MAX_TARGETS]),
+        windows=tuple(
+            (str(on)[:MAX_TEXT], str(begin)[:MAX_TEXT]) for on, begin in document.get("windows", [])[-MAX_DONE:]
+        ),
+        lowered=tuple(_read_lowered(body) for body in document.get("lowered", [])[:MAX_TARGETS]),
+    )
+
+
+def _first(entries: Mapping[str, Any], most: int) -> list[tuple[str, Any]]:
+    return list(entries.items())[:most]
+
+
+def _read_attempt(body: Any, clocks: _Clocks) -> AttemptRecord:
+    return AttemptRecord(
+        at=clocks.carried(body["at"], clocks.attempts_s).mono,
+        unit=str(body["unit"]),
+        condition=str(body["condition"]),
+        action=str(body["action"]),
+        worked=body.get("worked") is True,
+        backoff_reset=body.get("backoff_reset") is True,
+        not_counted=body.get("not_counted") is True,
+        partly=body.get("partly") is True,
+        took_s=float(body.get("took_s", 0.0)),
+    )
+
+
+def _read_case(body: Any) -> PersistedCase:
+    return PersistedCase(
+        refused=body["refused"] is True,
+        reported=tuple(str(text) for text in body["reported"][:MAX_REPORTED]),
+        approved=str(body["approved"])[:MAX_TEXT],
+        advised=str(body.get("advised", ""))[:MAX_TEXT],
+    )
+
+
+def _read_generation(body: Any, clocks: _Clocks) -> Generation:
+    name, started, phm_for = (str(body[key])[:MAX_TEXT] for key in ("id", "started", "phm_for"))
+    since, made = clocks.moment(body["since"]), clocks.moment(body["made"])
+    return Generation(name, started, since, made, StartedBy(body["by"]), phm_for)
+
+
+def _read_armed(body: Any, clocks: _Clocks) -> LastArmedState | None:
+    if body is None:
+        return None
+    since = clocks.carried(body["since"], FAULT_AGE_S).mono
+    return LastArmedState(body["armed"] is True, since, body.get("contradicted") is True)
+
+
+def _read_clock_steps(document: dict[str, Any]) -> tuple[tuple[float, float], ...]:
+    return tuple((float(offset), float(begin)) for offset, begin in document.get("clock", [])[-MAX_STEPS:])
 
 
 def convert_time(then: Stamp, now: Stamp, *, same_boot: bool, most_s: float) -> Stamp:
@@ -205,15 +235,17 @@ def _hold(kept: PersistedHold) -> dict[str, Any]:
     }
 
 
-def _read_hold(body: Any, now: Stamp, *, same_boot: bool) -> PersistedHold:
+def _read_hold(body: Any, clocks: _Clocks) -> PersistedHold:
     target, source, by, reason, occurrence = (
         str(body[key])[:MAX_TEXT] for key in ("target", "source", "by", "reason", "occurrence")
     )
     until, left_s = float(body["until_mono"]), float(body["left_s"])
     if not (abs(until) < 1e12 and abs(left_s) < 1e12):
         raise ValueError("the end of a hold is not a time")
-    hold = carried(Hold(target, source, until, by, reason, occurrence), left_s, now.mono, same_boot=same_boot)
-    return PersistedHold(hold, hold.until - now.mono)
+    hold = carried(
+        Hold(target, source, until, by, reason, occurrence), left_s, clocks.now.mono, same_boot=clocks.same_boot
+    )
+    return PersistedHold(hold, hold.until - clocks.now.mono)
 
 
 def _read_lowered(body: Any) -> LoweredWeight:
@@ -271,14 +303,14 @@ def _subjects(names: Sequence[str] | None) -> tuple[str, ...] | None:
     return None if names is None else tuple(str(name)[:MAX_TEXT] for name in names[:MAX_FAULTS])
 
 
-def _read_fault(body: Any, opened: Stamp) -> Fault:
+def _read_fault(body: Any, clocks: _Clocks) -> Fault:
     return Fault(
         str(body["id"])[:MAX_TEXT],
         str(body["unit"]),
         Slot(body["slot"]),
         Layer(body["layer"]),
         _read_result(body["result"]),
-        opened,
+        clocks.carried(body["opened"], FAULT_AGE_S),
         by=str(body["by"]),
         blocks=tuple(str(unit) for unit in body["blocks"]),
         consequences=tuple(str(name) for name in body["consequences"]),

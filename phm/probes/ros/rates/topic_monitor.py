@@ -97,7 +97,7 @@ class TopicMonitor:
         fact = self._estimator.update(now_s, samples, listening)
         if samples:
             self._complete = True
-            self._shut_window(now_s, samples, fact)
+            self._shut_window(now_s, fact)
         return fact
 
     @property
@@ -212,7 +212,7 @@ class TopicMonitor:
         self._reader = self._lonely_since_s = None
         self._complete = False
 
-    def _shut_window(self, now_s: float, samples: Sequence[Sample], fact: RateFact) -> None:
+    def _shut_window(self, now_s: float, fact: RateFact) -> None:
         """After a sample of a large topic: close the reader for a while."""
         hz = fact.hz or self._expected_hz
         self._large = (self._estimator.sample_bytes or 0.0) * hz > (SMALL_BPS if self._large else LARGE_BPS)
