@@ -67,7 +67,7 @@ class HoldInputs:
     container: the engine's current view of a configured container, for its label. Raises CannotTell.
     stream:    the engine's event stream.
     inspect:   the engine's data of any container (`phm.recovery.safety.namespaces`).
-    own:       whether PHM may have ended or started a container: an action has requested that, or a call to start it
+    own:       whether PHM may be ending or starting a container: an action has requested that, or a call to start it
                got no response.
     """
 
