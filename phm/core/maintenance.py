@@ -40,6 +40,15 @@ class Window:
                 return f"{begin:%Y-%m-%dT%H:%MZ}/{end:%H:%MZ}", left_s
         return None
 
+    def has(self, occurrence: str) -> bool:
+        """Whether it has this occurrence, with the same beginning and end; text as of `open_at`."""
+        try:
+            begin = datetime.strptime(occurrence.partition("/")[0], "%Y-%m-%dT%H:%MZ").replace(tzinfo=timezone.utc)
+        except ValueError:
+            return False
+        found = self.open_at(begin.timestamp())
+        return found is not None and found[0] == occurrence
+
     def _takes(self, day: date) -> bool:
         if self.on is not None:
             return day == self.on
