@@ -27,17 +27,27 @@ class Window:
     on: date | None = None
 
     def open_at(self, utc: float) -> tuple[str, float] | None:
-        """The occurrence that is open at `utc` (seconds since the epoch): its beginning as text, and the remaining
+        """The occurrence that is open at `utc` (seconds since the epoch): its beginning and end as text, and the remaining
         seconds."""
         if not CLOCK_SET_FROM <= utc < 1e11:
             return None
         midnight = datetime.fromtimestamp(utc, timezone.utc).replace(hour=0, minute=0, second=0, microsecond=0)
         for day in (midnight, midnight - timedelta(days=1)):
             begin = day + timedelta(seconds=self.begin_s)
-            left_s = begin.timestamp() + self.length_s - utc
+            end = begin + timedelta(seconds=self.length_s)
+            left_s = end.timestamp() - utc
             if self._takes(day.date()) and begin.timestamp() <= utc and left_s > 0:
-                return f"{begin:%Y-%m-%dT%H:%MZ}", left_s
+                return f"{begin:%Y-%m-%dT%H:%MZ}/{end:%H:%MZ}", left_s
         return None
+
+    def has(self, occurrence: str) -> bool:
+        """Whether it has this occurrence, with the same beginning and end; text as of `open_at`."""
+        try:
+            begin = datetime.strptime(occurrence.partition("/")[0], "%Y-%m-%dT%H:%MZ").replace(tzinfo=timezone.utc)
+        except ValueError:
+            return False
+        found = self.open_at(begin.timestamp())
+        return found is not None and found[0] == occurrence
 
     def _takes(self, day: date) -> bool:
         if self.on is not None:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any, cast
 
 from phm.core import threads
+from phm.core.clock import Clock
 from phm.core.model import Fault, Phase
 from phm.facts import CannotTell, NotPermitted
 from phm.recovery.base import (
@@ -23,7 +24,7 @@ from phm.recovery.base import (
     NotYet,
     Target,
 )
-from phm.recovery.ownership import Shared, TargetBusy
+from phm.recovery.ownership import SETTLED_S, Shared, TargetBusy
 from phm.recovery.safety.armed_state import ArmedState
 from phm.recovery.safety.flight_critical import FlightCriticalGuard
 from phm.recovery.verification import VerificationHooks, VerificationResult, Verifier, other_cause
@@ -130,7 +131,7 @@ class Attempt:
         self._context, self._verify_s = context, verify_s
         self._pipeline, self._clock, self._locks = shared.pipeline, shared.clock, shared.locks
         self._generations, self._verifier = shared.generations, Verifier(shared, verify_s)
-        self._engine = GuardedEngine(context.engine, guard, approved_at)
+        self._engine = GuardedEngine(context.engine, guard, shared.clock, approved_at)
         # An action that does not disturb its target does not suppress the target's faults either.
         name = target.name
         self._action_key = name if action_type.impact is not Impact.OTHERS else f"{action_type.name}:{name}"
@@ -326,7 +327,7 @@ class Attempt:
         if not self._type.starts:
             return contextlib.nullcontext()
         name = self._target.name
-        return self._generations.acting(name, name, self._engine.take_unanswered, lambda: self._engine.disturbs)
+        return self._generations.acting(name, name, self._engine.take_unanswered, self._engine.disturbs)
 
     @contextlib.contextmanager
     def _lock_dependent(self, key: str, fault: Fault, action: str, at_most_s: float) -> Iterator[None]:
@@ -341,7 +342,8 @@ class Attempt:
             try:
                 with (
                     self._approval_of_dependents(),
-                    self._generations.acting(key, name, self._engine.take_unanswered, lambda: self._engine.disturbs),
+                    self._engine.dependent() as disturbs,
+                    self._generations.acting(key, name, self._engine.take_unanswered, disturbs),
                 ):
                     yield
             finally:
@@ -350,6 +352,15 @@ class Attempt:
     def _approval_of_dependents(self) -> contextlib.AbstractContextManager[None]:
         """What an operator approved names dependents only if the action takes down others than its target."""
         return self._engine.unapproved() if self._type.impact is Impact.NOTHING else contextlib.nullcontext()
+
+
+@dataclass(slots=True, eq=False)
+class _Calls:
+    """What an action has asked of the engine about one container. disturb_until: until when a stop of it may be the action's
+    doing (monotonic seconds): from the first call that ends or starts it until a start was answered and its events have arrived.
+    """
+
+    disturb_until: float = float("-inf")
 
 
 class GuardedEngine:
@@ -361,16 +372,20 @@ class GuardedEngine:
     """
 
     def __init__(
-        self, engine: DockerEngine, guard: FlightCriticalGuard | None, approved_at: ArmedState | None = None
+        self,
+        engine: DockerEngine,
+        guard: FlightCriticalGuard | None,
+        clock: Clock,
+        approved_at: ArmedState | None = None,
     ) -> None:
         """guard: None when no container is flight-critical. approved_at: the armed state at which an operator approved it."""
-        self._engine, self._guard, self._approved_at = engine, guard, approved_at
+        self._engine, self._guard, self._clock, self._approved_at = engine, guard, clock, approved_at
         self._down: set[str] = set()
         self._unanswered = 0
         self.abandoned = False
         """Whether the action was given up: it may only finish what it has begun."""
-        self.disturbs = False
-        """Whether a call that begins or ends the life of a container has been made: until then, a stop is an operator's."""
+        self._target = _Calls()
+        self._dependents: list[_Calls] = []
 
     def __getattr__(self, name: str) -> Any:
         found = getattr(self._engine, name)
@@ -380,16 +395,39 @@ class GuardedEngine:
         def guarded(*args: Any, **kwargs: Any) -> Any:
             given = inspect.signature(found).bind(*args, **kwargs).arguments
             self._ask(name, str(given.get("container") or given.get("ref") or ""))
-            self.disturbs |= name in BEGINS_OR_ENDS
+            calls = (self._dependents or [self._target]) if name in BEGINS_OR_ENDS else []
+            self._may_disturb(calls, float("inf"))
             try:
-                return found(*args, **kwargs)
+                result = found(*args, **kwargs)
             except EngineNotConnected:
                 raise
             except (EngineTimeout, EngineUnreachable):
                 self._unanswered += name in STARTS
                 raise
+            if name in STARTS:
+                self._may_disturb(calls, self._clock.mono() + SETTLED_S)
+            return result
 
         return guarded
+
+    def disturbs(self) -> bool:
+        """Whether the end of the target may be this action's doing now; else it is an operator's."""
+        return self._clock.mono() < self._target.disturb_until
+
+    @contextlib.contextmanager
+    def dependent(self) -> Iterator[Callable[[], bool]]:
+        """Calls inside this context are about a dependent, not about the target. Yields its `disturbs`."""
+        calls = _Calls()
+        self._dependents.append(calls)
+        try:
+            yield lambda: self._clock.mono() < calls.disturb_until
+        finally:
+            self._dependents.remove(calls)
+
+    @staticmethod
+    def _may_disturb(calls: list[_Calls], until: float) -> None:
+        for each in calls:
+            each.disturb_until = until
 
     @contextlib.contextmanager
     def unapproved(self) -> Iterator[None]:

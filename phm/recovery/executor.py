@@ -251,7 +251,7 @@ class Executor:
         return self._worker(container).restart(by)
 
     def action_on(self, target: str) -> bool:
-        """Whether PHM may have ended or started it: an action has requested that, or such a call got no answer."""
+        """Whether PHM may be ending or starting it: an action has requested that, or such a call got no answer."""
         return self._generations.disturbed(target)
 
     def stop(self) -> None:

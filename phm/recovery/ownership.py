@@ -112,7 +112,7 @@ class _Actor:
     """An action of PHM on a container, to recover `who`. Kept after it has `ended` (monotonic seconds) until its outcome was
     observed.
 
-    `disturbs`: whether it has begun to stop or start containers. `unanswered` calls may still start the container, each
+    `disturbs`: whether it may be stopping or starting this container now. `unanswered` calls may still start the container, each
     once, until `until` (monotonic seconds).
     """
 
@@ -189,7 +189,7 @@ class GenerationTracker:
     ) -> Iterator[None]:
         """Inside this context, and until the outcome was observed, a new generation of `key` is attributed to PHM,
         acting for `who`. unanswered: returns how many calls that start `key` got no response; called once, at the end.
-        disturbs: returns whether PHM has begun to stop or start containers.
+        disturbs: returns whether PHM may be stopping or starting `key` now.
         """
         actor = _Actor(who, disturbs=disturbs)
         with self._lock(key):
@@ -225,7 +225,7 @@ class GenerationTracker:
         }
 
     def disturbed(self, key: str) -> bool:
-        """Whether PHM has begun to stop or start containers in an action on this one, or such a call got no response."""
+        """Whether an action of PHM may be stopping or starting this container now, or a call to start it got no response."""
         actor = self._actors.get(key)
         if actor is None:
             return False

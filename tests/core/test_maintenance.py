@@ -56,6 +56,23 @@ def test_two_occurrences_have_different_names() -> None:
 
 
 @pytest.mark.parametrize(
+    ("window", "its_own"),
+    [
+        ("sat 22:00-01:00", True),
+        ("2026-11-21 22:00-01:00", True),
+        ("sat 22:00-02:00", False),
+        ("sat 23:00-01:00", False),
+        ("sun 22:00-01:00", False),
+    ],
+)
+def test_an_occurrence_belongs_to_a_window_with_its_beginning_and_end(window: str, its_own: bool) -> None:
+    """It is known again after a change of the configuration, also after it has ended."""
+    found = parse("22:00-01:00").open_at(utc("2026-11-22T00:30"))
+    assert found and parse(window).has(found[0]) is its_own
+    assert not parse(window).has("2026-11-21T22:00Z") and not parse(window).has("")
+
+
+@pytest.mark.parametrize(
     "text",
     [
         "",

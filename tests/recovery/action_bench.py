@@ -29,7 +29,7 @@ def fault(unit: str, condition: str, evidence: Evidence | None = None, node: str
 
 def guarded(engine: DockerEngine, guard: FlightCriticalGuard) -> DockerEngine:
     """The guarded engine, typed as the engine that actions use."""
-    return cast(DockerEngine, GuardedEngine(engine, guard))
+    return cast(DockerEngine, GuardedEngine(engine, guard, SystemClock()))
 
 
 @dataclass

@@ -12,6 +12,7 @@ import pytest
 from phm import testing
 from phm.core.model import ActionEvent, Fault, Phase
 from phm.recovery.base import ActionContext
+from phm.recovery.ownership import SETTLED_S
 from phm.recovery.worker import GENERATION_S
 from phm.transport.docker import EngineError, EngineNotConnected, EngineTimeout, EngineUnreachable
 from tests.recovery.simulated_agent import Agent, Containers, Of
@@ -438,6 +439,33 @@ def test_an_external_stop_before_phm_stops_the_container_is_not_phms_own(yard: Y
     agent.bad["health/app"] = "broken"
     agent.until(lambda: len(seen) > 1, "the action")
     assert seen[:2] == [False, True]
+
+
+def test_an_external_stop_beside_the_restart_of_a_dependent_is_not_phms_own(yard: Yard) -> None:
+    """What an action has restarted already is an operator's to stop, and so is a dependent until its turn."""
+    yard.containers.facts["side"] = testing.container("side")
+    agent = yard.phm()
+    agent.rest(3.0)
+    seen: list[tuple[bool, bool]] = []
+
+    def look() -> None:
+        seen.append((agent.executor.action_on("app"), agent.executor.action_on("side")))
+
+    def act(key: str, context: ActionContext, fault: Fault) -> None:
+        context.engine.restart(key)
+        done_at = agent.clock.mono()
+        look()
+        with context.lock_dependent("side", fault, "restart", 30.0):
+            agent.pause(lambda: agent.clock.mono() - done_at > SETTLED_S)
+            look()
+            context.engine.restart("side")
+            look()
+        agent.bad.clear()
+
+    agent.behave = act
+    agent.bad["health/app"] = "broken"
+    agent.until(lambda: len(seen) == 3, "the action")
+    assert seen == [(True, False), (False, False), (False, True)]
 
 
 @pytest.mark.parametrize("action", ["relaunch", "restart"])

@@ -30,7 +30,7 @@ MAX_TEXT = 200
 
 @dataclass(frozen=True, slots=True)
 class Hold:
-    """target: key of the container, or ALL. until: monotonic seconds. occurrence: of a maintenance window: its begin."""
+    """target: key of the container, or ALL. until: monotonic seconds. occurrence: of a maintenance window: its begin and end."""
 
     target: str
     source: str
@@ -38,6 +38,11 @@ class Hold:
     by: str
     reason: str = ""
     occurrence: str = ""
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """Another hold with this key replaces it."""
+        return self.target, self.source, self.occurrence
 
     def covers(self, target: str) -> bool:
         return self.target in (ALL, target)
@@ -82,10 +87,11 @@ NOTHING_REQUESTED = HoldStatus()
 
 
 class HoldRegistry:
-    """All holds, at most one for each target and source. Thread-safe; `changed` is called after each change."""
+    """All holds, at most one for each target and source, and of windows for each occurrence: windows that overlap are all in
+    force. Thread-safe; `changed` is called after each change."""
 
     def __init__(self) -> None:
-        self._of: dict[tuple[str, str], Hold] = {}
+        self._of: dict[tuple[str, str, str], Hold] = {}
         self._by_hand: set[str] = set()
         self._undecided: dict[str, float] = {}
         self._done: dict[tuple[str, str], None] = {}
@@ -100,9 +106,9 @@ class HoldRegistry:
         self.changed: Callable[[], None] = lambda: None
 
     def put(self, hold: Hold) -> None:
-        """Begin or replace the hold of this target and source."""
+        """Begin the hold, or replace the one with its key."""
         with self._lock:
-            self._of[hold.target, hold.source] = hold
+            self._of[hold.key] = hold
             while len(self._of) > MAX_HOLDS:
                 del self._of[min(self._of, key=lambda key: self._of[key].until)]
             self._update_concerned()
@@ -111,8 +117,8 @@ class HoldRegistry:
     def remove(self, holds: Iterable[Hold]) -> None:
         with self._lock:
             for hold in holds:
-                if self._of.get((hold.target, hold.source)) == hold:
-                    del self._of[hold.target, hold.source]
+                if self._of.get(hold.key) == hold:
+                    del self._of[hold.key]
             self._update_concerned()
         self.changed()
 
@@ -167,7 +173,7 @@ class HoldRegistry:
         return status.words(now) or ("paused or stopped by hand" if status.stopped_by_hand else "")
 
     def _update_concerned(self) -> None:
-        self.concerned = frozenset({target for target, _source in self._of} | self._by_hand | self._undecided.keys())
+        self.concerned = frozenset({hold.target for hold in self._of.values()} | self._by_hand | self._undecided.keys())
 
     # ------------------------------------------------------------ over a restart of PHM
 

@@ -67,7 +67,7 @@ class HoldInputs:
     container: the engine's current view of a configured container, for its label. Raises CannotTell.
     stream:    the engine's event stream.
     inspect:   the engine's data of any container (`phm.recovery.safety.namespaces`).
-    own:       whether PHM may have ended or started a container: an action has requested that, or a call to start it
+    own:       whether PHM may be ending or starting a container: an action has requested that, or a call to start it
                got no response.
     """
 
@@ -252,12 +252,13 @@ class HoldService:
         self._publish(HoldChanged(now, hold.target, True, hold.by, hold.reason, hold.until - now.mono, text))
         self._wake.set()
 
-    def _end(self, ending: Iterable[Hold], why: str) -> None:
+    def _end(self, ending: Iterable[Hold], why: str, *, for_good: bool = True) -> None:
+        """for_good: windows that are still open do not begin their holds again."""
         ended = list(ending)
         self._holds.remove(ended)
         now = self._clock.stamp()
         for hold in ended:
-            if hold.source == WINDOW:
+            if for_good and hold.source == WINDOW:
                 self._holds.finish(hold.target, hold.occurrence)
             for key in self._of(hold):
                 if self._holds.on(key, now.mono) is None:
@@ -368,12 +369,13 @@ class HoldService:
         """Begin and end the holds of maintenance windows. Returns whether there may be any windows."""
         if now.mono - self._windows_at >= WINDOWS_S and not self._was_armed:
             self._windows_at = now.mono
-            removed = self._windows.removed()
-            if removed:
-                self._end(removed, "the configuration no longer has it")
             for hold in self._windows.due(now, self._labels):
                 if not (self._world.armed().restricts and self._flight.critical(self._of(hold))):
                     self._begin(hold)
+            # Last, so that recovery does not act before a window that was only changed is open again.
+            removed = self._windows.removed()
+            if removed:
+                self._end(removed, "the configuration no longer has it", for_good=False)
         return bool(self._rules.maintenance or self._keys)
 
     def _of(self, hold: Hold) -> tuple[str, ...]:

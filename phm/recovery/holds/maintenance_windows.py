@@ -24,9 +24,8 @@ class MaintenanceWindows:
         self._reported: set[tuple[str, str]] = set()
 
     def removed(self) -> list[Hold]:
-        """Holds of windows that the configuration does not have any more."""
-        configured = {window.container or ALL for window in self._windows}
-        return [hold for hold in self._open() if hold.by == CONFIGURED and hold.target not in configured]
+        """Holds of windows that the configuration does not have any more, or has with another beginning or end."""
+        return [hold for hold in self._open() if hold.by == CONFIGURED and not self._configured(hold)]
 
     def due(self, now: Stamp, labels: Mapping[str, str]) -> Iterator[Hold]:
         """Holds to begin now: of windows that are open and neither held nor released. labels: by container, empty: none."""
@@ -35,6 +34,10 @@ class MaintenanceWindows:
         for key, when in labels.items():
             if when:
                 yield from self._hold(key, when, "", LABELLED, now)
+
+    def _configured(self, hold: Hold) -> bool:
+        own = [window for window in self._windows if (window.container or ALL) == hold.target]
+        return any(parse(window.when).has(hold.occurrence) for window in own)
 
     def _hold(self, target: str, when: str, reason: str, by: str, now: Stamp) -> Iterator[Hold]:
         try:

@@ -31,7 +31,7 @@ class RecoveryState:
     stops: tuple[str, ...] = ()
     """Containers that an operator stopped, where PHM only advises then."""
     windows: tuple[tuple[str, str], ...] = ()
-    """Maintenance windows that are over, by target and beginning."""
+    """Maintenance windows that are over, by target and occurrence."""
     lowered: tuple[LoweredWeight, ...] = ()
     """CPU weights to put back."""
 

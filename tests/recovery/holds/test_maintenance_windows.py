@@ -57,3 +57,29 @@ def test_no_window_opens_in_flight(scenes: Any, armed: ArmedState, opens: list[s
     scene.clock.jump_utc(1795312860.0 - scene.clock.utc())
     scene.agent.rest(10)
     assert sorted(hold["container"] for hold in scene.service.snapshot()) == opens
+
+
+@pytest.mark.parametrize("labelled", [False, True])
+def test_overlapping_windows_are_both_in_force(scenes: Any, labelled: bool) -> None:
+    """The container is on hold until the last one ends. They replaced each other every five seconds."""
+    first, second = ({"when": when, "container": "cam"} for when in ("02:00-02:02", "02:01-02:03"))
+    scene = scenes(maintenance=[first] if labelled else [first, second])
+    if labelled:
+        scene.containers.facts["cam"] = replace(scene.containers.facts["cam"], maintenance="02:01-02:03")
+    scene.clock.jump_utc(1795312855.0 - scene.clock.utc())  # 2026-11-22 02:00:55 UTC
+    scene.agent.rest(45)
+    assert scene.changes() == [("cam", True)] * 2
+    scene.agent.rest(45)
+    assert scene.changes()[2:] == [("cam", False)] and len(scene.service.snapshot()) == 1
+    scene.agent.rest(45)
+    assert scene.changes()[3:] == [("cam", False)] and scene.service.snapshot() == []
+
+
+def test_a_release_ends_all_windows_that_are_open(scenes: Any) -> None:
+    """None of them begins again."""
+    scene = scenes(maintenance=[{"when": when} for when in ("02:00-02:10", "02:00-02:20")])
+    scene.clock.jump_utc(1795312860.0 - scene.clock.utc())  # 2026-11-22 02:01 UTC
+    scene.agent.rest(10)
+    scene.service.release(ALL, BY)
+    scene.agent.rest(30)
+    assert scene.changes() == [("", True)] * 2 + [("", False)] * 2

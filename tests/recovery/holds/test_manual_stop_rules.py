@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
-from phm.core.model import Level, Phase
+from phm.core.model import Fault, Level, Phase
 from phm.facts import EventStreamFact
+from phm.recovery.base import ActionContext
 from phm.recovery.holds.hold_service import CLOSED_S, DIE_FOLLOWS_S, LABELS_S
 from phm.recovery.safety.armed_state import ArmedState as ArmedState
 from tests.recovery.holds.scene import STOP, Scene, stopped
@@ -272,6 +273,27 @@ def test_a_manually_stopped_dependent_is_not_started(scenes: Any) -> None:
     assert "stopped by hand" in holds.why_not_start("cam", scene.clock.stamp())
     scene.happen(("start", ""), key="cam")
     assert holds.why_not_start("cam", scene.clock.stamp()) == ""
+
+
+def test_a_stop_during_the_restart_of_a_dependent_is_respected(scene: Scene) -> None:
+    """PHM has restarted `app`, and now restarts `cam` because of it. It started `app` again each time it was stopped."""
+    agent = scene.agent
+
+    def act(key: str, context: ActionContext, fault: Fault) -> None:
+        context.engine.restart(key)
+        scene.containers.start(key)
+        agent.bad = {}
+        with context.lock_dependent("cam", fault, "restart", 30.0):
+            started_at = agent.clock.mono()
+            agent.pause(lambda: agent.clock.mono() - started_at > 2.0)
+            stopped(scene)
+            scene.containers.start("cam")
+
+    agent.behave = act
+    agent.bad = {"container/app": "broken"}
+    agent.until(lambda: agent.runs, "the restart")
+    agent.rest(60)
+    assert scene.changes() == [("app", True)] and len(agent.runs) == 1
 
 
 def test_a_hold_prevents_an_action_that_has_not_begun(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:

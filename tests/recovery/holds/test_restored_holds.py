@@ -110,6 +110,30 @@ def test_a_window_removed_from_the_configuration_ends(scenes: Any, tmp_path: Pat
     assert second.changes() == [("cam", False)] and second.service.snapshot() == []
 
 
+def ends(scene: Scene) -> list[int]:
+    """When holds end, in minutes after the hour."""
+    left_s = [hold.until - scene.clock.mono() for hold in scene.holds.all()]
+    return [round((scene.clock.utc() + each) / 60) % 60 for each in left_s]
+
+
+@pytest.mark.parametrize("end", [5, 20])
+def test_a_window_changed_in_the_configuration_has_its_new_end(scenes: Any, tmp_path: Path, end: int) -> None:
+    """Without a moment in which recovery would act. A window that gets its former end again opens again."""
+    settings = [[{"when": f"02:00-02:{each:02}", "container": "cam"}] for each in (10, end)]
+    first = scenes(tmp_path, maintenance=settings[0])
+    first.clock.jump_utc(1795312860.0 - first.clock.utc())  # 2026-11-22 02:01 UTC
+    first.agent.rest(10)
+    first.agent.stop()
+    second = scenes(tmp_path, first.clock, maintenance=settings[1])
+    second.agent.rest(20)
+    assert second.changes() == [("cam", True), ("cam", False)]
+    assert ends(second) == [end]
+    second.agent.stop()
+    third = scenes(tmp_path, first.clock, maintenance=settings[0])
+    third.agent.rest(20)
+    assert ends(third) == [10]
+
+
 def restarted(scene: Scene) -> HoldService:
     """The hold service of the next PHM, with the holds of the scene."""
     agent = scene.agent
