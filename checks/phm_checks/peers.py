@@ -11,6 +11,8 @@ from phm_checks._text import brief, combined, joined, span
 
 GRACE_S = 30.0
 """Agents are switched on one after another: a missing agent is not reported so soon after PHM's start."""
+GRACE_PERIODS = 5.0
+"""Of the heartbeats that PHM must have listened for, as for a lost agent. In a large swarm they are longer than GRACE_S."""
 SETTLE_S = 5.0
 """Agents that disappear together are detected together (`phm.swarm.group_loss`) or within seconds of each other. A split
 is reported immediately, before single agents are."""
@@ -117,6 +119,8 @@ def _agent(agent: int, fact: api.SwarmFact) -> api.Result:
             "vehicle, its power and its radio"
         )
         return api.Result(Level.ERROR, words, brief(name, "lost"), "peer_lost", values=values, evidence=known)
+    if peer.state == "never seen" and fact.up_s < GRACE_PERIODS * fact.heartbeat_s:
+        return api.stale(f"no heartbeat from agent {name} received so far", values=values)
     if peer.state == "never seen":
         words = f"no heartbeat ever received from agent {name}, which is configured in swarm.agents: check that it is powered on and on this network"
         return api.Result(

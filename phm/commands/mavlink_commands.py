@@ -85,6 +85,12 @@ class MavlinkCommands:
         self._wake, self._stop = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._loop, name="phm-commands", daemon=True)
 
+    def resume(self, before: MavlinkCommands) -> None:
+        """Go on as the predecessor on the same links (after a reload), before `start`: a repeated command is not executed again, and
+        requested messages continue."""
+        self._rate_limiter, self._dedup, self._log = before._rate_limiter, before._dedup, before._log
+        self._repeats, self._heartbeat_at = before._repeats, before._heartbeat_at
+
     def start(self) -> None:
         self.listen()
         threads.start(self._thread)

@@ -58,6 +58,8 @@ class SwarmFact:
     """Ids received recently that are not in `swarm.agents`, if that is set. They are ignored."""
     receive_none: tuple[int, ...] = ()
     """Agents that are received and receive no other agent; this one too, if it receives none though two or more are known."""
+    heartbeat_s: float = 2.0
+    """Seconds between the heartbeats of an agent in a swarm of this size."""
 
 
 class SwarmProbe(Protocol):

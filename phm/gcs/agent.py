@@ -17,8 +17,8 @@ from phm.wire.status_line import ARRAY_SLOTS, agent_name
 from phm.wire.tunnel import FaultDetail, PeerView
 
 PHM_COMPONENT = 193
-MAX_BAD = 4
-"""Failing units that are kept for a slot: PHM reports up to ten in all."""
+MAX_BAD = 10
+"""Failing units that are kept for a slot: PHM sends up to ten again for a new ground station, and all may be of one slot."""
 MAX_LINES = 2
 """Lines about changes that are kept of a failing unit: FAIL and GAVE UP."""
 MAX_DETAILS = 4

@@ -76,6 +76,7 @@ class SwarmMonitor:
             self._links, self._since, self._fresh = before._links, before._since, (0.0, None)
             if self._expected == before._expected:
                 self._peers, self._agent_count = before._peers, before._agent_count
+                self._began = before._began
             else:
                 self._peers.take_over(before._peers)
 
@@ -121,6 +122,7 @@ class SwarmMonitor:
             links,
             unlisted,
             agreed.receive_none,
+            period_s,
         )
 
     def wake_if_changed(self) -> None:

@@ -66,6 +66,9 @@ class Daemon:
         if previous is None:
             parts.control.start()
         if parts.mavlink_commands is not None:
+            before = previous.components.mavlink_commands if previous is not None else None
+            if before is not None:
+                parts.mavlink_commands.resume(before)
             parts.mavlink_commands.start()
         self._report_unusable_plugins()
         parts.probes.start(links=previous is None)

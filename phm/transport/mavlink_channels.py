@@ -20,6 +20,7 @@ from phm.transport.mavlink_codec import Codec, Parser
 from phm.transport.serial_errors import SerialErrorCount
 
 READ_BYTES = 16384
+"""Read from all clients of a server together before the endpoint sends, as by UDP: a flood must not stop its heartbeats."""
 SEND_BUFFER_BYTES = 16384
 CLIENT_BACKLOG_BYTES = 16384
 """A TCP client with a longer backlog loses frames; other clients do not."""
@@ -67,13 +68,13 @@ class Stream:
     def mask(self) -> int:
         return polling.READ | (polling.WRITE if self.pending else 0)
 
-    def serve(self, events: int) -> list[Any]:
-        """Raises OSError when the other side is gone. Data received before the end are still read."""
+    def serve(self, events: int, most: int = READ_BYTES) -> list[Any]:
+        """Read at most `most` bytes. Raises OSError when the other side is gone. Data received before the end are still read."""
         if events & polling.WRITE:
             self.flush()
         if events & (polling.READ | polling.LOST):
             try:
-                data = self._read(READ_BYTES)
+                data = self._read(most)
             except BlockingIOError:
                 if events & polling.LOST:
                     raise ConnectionResetError("the connection was lost") from None
@@ -143,7 +144,7 @@ class TcpServer(Channel):
         if fd not in self._clients:
             return []
         try:
-            messages = self._clients[fd][1].serve(events)
+            messages = self._clients[fd][1].serve(events, READ_BYTES // len(self._clients))
         except OSError:
             self._drop(fd)
             return []

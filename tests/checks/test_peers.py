@@ -71,6 +71,19 @@ def test_a_configured_agent_that_was_never_received_is_missing() -> None:
     assert evaluate({2: ALIVE}, (2, 9))["peers/A09"].condition == "peer_never_seen"
 
 
+@pytest.mark.parametrize(
+    ("up_s", "heartbeat_s", "level"),
+    [(9.0, 2.0, Level.STALE), (11.0, 2.0, Level.WARN), (199.0, 40.0, Level.STALE), (201.0, 40.0, Level.WARN)],
+)
+def test_an_agent_that_cannot_have_been_received_yet_is_not_known(
+    up_s: float, heartbeat_s: float, level: Level
+) -> None:
+    """As for a lost one, five heartbeats must be missing, and in a large swarm they are far apart."""
+    peers = {2: ALIVE, 3: PeerFact("never seen", None)}
+    results = evaluate(peers, (2, 3), up_s=up_s, heartbeat_s=heartbeat_s)
+    assert (results["peers/A03"].level, results[SWARM].level) == (level, Level.OK)
+
+
 def test_a_split_is_one_fault_and_the_cause_of_the_single_losses() -> None:
     """Each agent's unit needs `peers/swarm`, which names both parts."""
     check = Peers((2, 3, 4))

@@ -8,6 +8,7 @@ from phm.core.model import Level, Slot, Stamp
 from phm.gcs.events import describe_with_time
 from phm.gcs.fleet_state import FleetState
 from phm.gcs.frames import Heartbeat, StatusText
+from phm.reporters.statustext import FULL_LINES
 from phm.wire import status_line, status_word
 from tests.gcs.bench import Ground, events, phm_heartbeat, text_frame
 
@@ -106,6 +107,20 @@ def test_a_failure_sent_again_for_a_new_ground_station_is_a_repetition(ground: G
     ground.wait(20, bad)
     ground.receive(phm_heartbeat(7))
     assert repeat(line) is False
+
+
+def test_all_failures_sent_again_for_a_new_ground_station_are_repetitions(ground: Ground) -> None:
+    """Also if all of them are of one slot."""
+    bad, lines = (
+        phm_heartbeat(7, {Slot.NODES: Level.ERROR}),
+        [f"A07 FAIL 6 node_{one} dead" for one in range(FULL_LINES)],
+    )
+    repeated: list[list[bool]] = []
+    for _ in range(2):
+        ground.wait(6, bad)  # a second link may repeat a line for 5 s
+        found = [events(ground.receive(text_frame(7, line)), "text")[0] for line in lines]
+        repeated.append([bool(one["repeat"]) for one in found])
+    assert repeated == [[False] * FULL_LINES, [True] * FULL_LINES]
 
 
 def test_a_failure_that_comes_back_is_new_although_its_text_had_changed(ground: Ground) -> None:

@@ -176,7 +176,8 @@ def test_a_hold_outlives_a_reload(agent: Agent) -> None:
 def test_a_successor_knows_what_cannot_be_observed_again(
     tmp_path: Path, patient: Callable[..., None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """How a container that is disconnected now was connected, for `reconnect`; and a fault that the main loop opens last."""
+    """How a container that is disconnected now was connected, for `reconnect`; a fault that the main loop opens last; and the
+    commands from the links."""
     patient()
     attached = Attachment("fleet", "n1", "172.30.0.5", aliases=("ros",), fixed_addresses=("172.30.0.5",))
     networks, handed, hand_over, join = [attached], list[PersistedState](), Daemon._hand_over, MainLoop.join
@@ -201,6 +202,7 @@ def test_a_successor_knows_what_cannot_be_observed_again(
         **folders,
         "docker": {"socket": f"unix://{tmp_path}/none"},
         "custom": [{"name": "it", "type": "command", "command": ["true"], "period": "1h", "failures": 1, "grace": 0}],
+        "mavlink": {"endpoints": [{"url": f"udpout:127.0.0.1:{free_port(socket.SOCK_DGRAM)}"}]},
     }
     former = build_daemon(settings(containers=[{"name": "app"}, {"name": "a"}, {"name": "b", "alias": "x"}], **more))
     former.start()
@@ -215,6 +217,8 @@ def test_a_successor_knows_what_cannot_be_observed_again(
         known = {name: successor.components.probes.remembered(name, "fleet") for name in ("app", "a", "x")}
         assert known == {"app": attached, "a": None, "x": None}
         assert [fault.unit for state in handed for fault in state.faults if fault.unit == "custom/it"] == ["custom/it"]
+        before, after = former.components.mavlink_commands, successor.components.mavlink_commands
+        assert before is not None and after is not None and after._dedup is before._dedup
     finally:
         successor.stop()
 

@@ -1,4 +1,4 @@
-"""After a reload the agents that were received before are still known."""
+"""After a reload the agents that were received before are still known, and the time of listening goes on."""
 
 from __future__ import annotations
 
@@ -69,3 +69,21 @@ def test_agents_of_another_list_are_not_taken_over() -> None:
     after = ports.monitor(3)
     after.resume(before)
     assert {agent: peer.state for agent, peer in after.snapshot().peers.items()} == {3: "never seen"}
+
+
+@pytest.mark.parametrize(("last", "heartbeat_s"), [(8, 2.0), (50, 15.0), (220, 40.0)])
+def test_the_fact_has_the_period_of_a_swarm_of_this_size(last: int, heartbeat_s: float) -> None:
+    """How long an agent may be silent depends on it."""
+    agents = (*range(1, min(last, 50) + 1), *range(101, last + 1))
+    assert Ports().monitor(*agents).snapshot().heartbeat_s == heartbeat_s
+
+
+@pytest.mark.parametrize(("then", "up_s"), [((1, 2), 600.0), ((1, 2, 3), 0.0)])
+def test_listening_goes_on_for_the_same_agents(then: tuple[int, ...], up_s: float) -> None:
+    """Else one that was never received would be unknown again for some minutes."""
+    ports = Ports()
+    before = ports.monitor(1, 2)
+    ports.clock.advance(600.0)
+    after = ports.monitor(*then)
+    after.resume(before)
+    assert after.snapshot().up_s == up_s
