@@ -61,7 +61,7 @@ def _of_the_flight(document: Json, most: int) -> Iterator[Table]:
 
 
 def _of_the_record(document: Json) -> Iterator[Table]:
-    head: tuple[str, ...] = ("agent", "ran", "restarts", "reports", "report takes", "longest")
+    head: tuple[str, ...] = ("agent", "ran", "restarts", "reloads", "reports", "report takes", "longest")
     cost = ("CPU", "memory", "sent", "text received from it")
     yield "PHM itself", head + cost, [table_rows.phm(row) for row in document["phm"]["agents"]]
     clocks = [table_rows.clock(row) for row in document["clocks"]["runs"]]
