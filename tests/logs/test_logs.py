@@ -5,6 +5,8 @@ from __future__ import annotations
 import gzip
 import json
 import os
+import re
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -106,6 +108,25 @@ def test_a_fault_is_explained_with_cause_values_consequence_and_remedy(tmp_path:
         assert words in shown
     assert shown.count("Node n1 is not running") == 1
     assert "cause:" not in logs(tmp_path, "--brief").output
+
+
+def test_the_command_that_is_named_shows_the_fault_of_the_log_that_was_given(tmp_path: Path) -> None:
+    """Wherever the log is: of several agents, as a copy with another name, or by a configuration."""
+    record(tmp_path / "two logs" / "agent 1", *STORY)
+    record(tmp_path / "two logs" / "agent 2", *STORY, name="agent_2")
+    copy = tmp_path / "a7.jsonl"
+    copy.write_bytes((tmp_path / "two logs" / "agent 2" / "phm.jsonl").read_bytes())
+    configuration = tmp_path / "phm.yaml"
+    configuration.write_text(f"log: {{directory: '{tmp_path / 'two logs' / 'agent 1'}'}}\n")
+    for given in ([tmp_path / "two logs"], [copy], ["-c", configuration]):
+        named = re.findall("see: phm (faults .*)", logs(*given).output)
+        assert named
+        for words in named:
+            found = CliRunner().invoke(group, [*shlex.split(words), "--run-dir", str(tmp_path)])
+            assert found.exit_code == 0 and "nodes/n1" in found.output, (words, found.output)
+    assert "remedy: phm approve ab12-1 (on agent_2)" in logs(copy).output
+    default = CliRunner().invoke(group, ["logs"], env={"PHM_CONFIG": str(configuration)}).output
+    assert "see: phm faults ab12-1\n" in default and "remedy: phm approve ab12-1\n" in default
 
 
 @pytest.mark.parametrize("number", [b"1" + b"0" * 400, b"1e999"], ids=["integer", "infinity"])
