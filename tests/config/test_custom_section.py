@@ -64,9 +64,9 @@ def test_a_mistake_is_named_with_its_line(entry: str, problem: str) -> None:
 
 
 def test_the_list_of_units_is_named_where_a_unit_is_unknown() -> None:
-    """`phm checks` alone lists names of checks, which are no units."""
+    """`phm checks` alone lists names of checks, which are no units. With the need that is wrong it lists nothing."""
     (found,) = refused(f"  - {{{TCP}, needs: [container]}}\n")
-    assert found.endswith("(`phm checks --graph` lists them)")
+    assert found.endswith("(without this need, `phm checks --graph` lists them)")
 
 
 def test_names_are_unique_over_all_types() -> None:
