@@ -11,6 +11,7 @@ from typing import Any
 
 from phm.core.duplicate_filter import DuplicateFilter
 from phm.logs.line_filter import number
+from phm.wire.report import with_hertz
 from phm.wire.text import one_line
 
 Json = Mapping[str, Any]
@@ -83,7 +84,7 @@ def words(event: Json, options: str = "") -> Words:
 def _said(event: Json) -> str:
     name, unit = event.get("event"), _text(event, "unit")
     if name in ("transition", "unit", "fault_opened"):
-        return f"{unit}: {_text(event, 'summary')}{_was(event)}"
+        return f"{unit}: {with_hertz(event, _text(event, 'summary'))}{_was(event)}"
     if name == "fault_closed":
         by, lasted = _text(event, "by"), event.get("duration_s")
         after = f" after {number(lasted):.1f} s" if isinstance(lasted, (int, float)) else ""

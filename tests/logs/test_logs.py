@@ -16,15 +16,16 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 
-from phm.cli import group
+from phm.cli import group, terminal
 from phm.core.clock import SystemClock
-from phm.core.model import ActionEvent, Event, Level, Note, Outcome, Phase, Slot
+from phm.core.model import ActionEvent, Event, Level, Note, Outcome, Phase, Report, Slot
 from phm.core.settings import Settings
 from phm.logs.line_filter import utc_s
 from phm.logs.reader import LogReader
 from phm.reporters.base import ReporterContext
 from phm.reporters.log import LogReporter
 from phm.runtime.sections import reporter_settings
+from phm.wire.report import unit_json
 from tests.fakes.records import at, closed, context, opened, transition, unit
 from tests.fakes.until import until
 
@@ -127,6 +128,18 @@ def test_the_command_that_is_named_shows_the_fault_of_the_log_that_was_given(tmp
     assert "remedy: phm approve ab12-1 (on agent_2)" in logs(copy).output
     default = CliRunner().invoke(group, ["logs"], env={"PHM_CONFIG": str(configuration)}).output
     assert "see: phm faults ab12-1\n" in default and "remedy: phm approve ab12-1\n" in default
+
+
+def test_a_rate_has_its_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """In the text log it has none, as in the paper."""
+    state = unit("rates/t1", Slot.RATES, Level.OK, "t1: 10.000")
+    log = log_of(tmp_path)
+    log.handle(Report(at(0.0), 1, at(0.0), (state,)))
+    log.close()
+    assert "rates/t1: t1: 10.000 Hz\n" in logs(tmp_path, "--reports").output
+    assert "t1: 10.000\n" in (tmp_path / "phm.log").read_text()
+    terminal.report({"checks": [unit_json(state)], "status_array": []})
+    assert "t1: 10.000 Hz" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("number", [b"1" + b"0" * 400, b"1e999"], ids=["integer", "infinity"])
