@@ -85,7 +85,7 @@ def _init() -> str:
             output = CliRunner().invoke(group, words, input="\n" * 5).output.replace(f"{place}/", "~/")
     finally:
         init.on_terminal = before
-    return "\n".join(["$ .venv/bin/phm init ~/phm", *(line.rstrip() for line in output.splitlines())])
+    return "\n".join(["$ phm init ~/phm", *(line.rstrip() for line in output.splitlines())])
 
 
 def _faults() -> list[dict[str, Any]]:
