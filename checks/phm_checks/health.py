@@ -68,8 +68,9 @@ class Health(PerContainer):
             # The engine reports this between the end of a pause and the first probe after it.
             return api.stale(f"health check of {self.key} has not run since the container was paused", values=values)
         if fact.health == "unhealthy":
+            times = "once" if fact.health_streak == 1 else f"{fact.health_streak} times in a row"
             unhealthy = api.error(
-                f"health check of {self.key} failed {fact.health_streak} times in a row, expected healthy. Last output: "
+                f"health check of {self.key} failed {times}, expected healthy. Last output: "
                 f"{output or 'none'}. `docker inspect {fact.name}` shows the earlier ones",
                 brief=brief(self.key, "unhealthy"),
                 condition="unhealthy",

@@ -54,7 +54,7 @@ def doctor_context(config: str | None) -> DoctorContext:
     try:
         good = read(config)
     except ConfigError as error:
-        return DoctorContext(Settings(), problem=str(error.problems[0]))
+        return DoctorContext(Settings(), problem=str(error.problems[0]), invalid=str(find(config)))
     return DoctorContext(good.settings, good.file)
 
 

@@ -7,11 +7,12 @@ import os
 from collections.abc import Mapping, Sequence
 from itertools import chain, islice
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import click
 
-from phm.cli.options import config_option, json_option, load_settings, run_dir_option
+from phm.cli.options import config_option, from_command_line, json_option, load_settings, run_dir_option
 from phm.wire import fault_timeline, json_log, status_file, status_shape
 
 RECENT = 20
@@ -53,7 +54,10 @@ def command(
     if fault is not None:
         found = [episode for episode in found if episode["fault"] == fault]
         if not found:
-            click.echo(f"fault {fault} is not in the log in {directory}: list all with `phm faults --all`", err=True)
+            place = f" -c {quote(str(config))}" if from_command_line("config") else ""
+            place = f" --log-dir {quote(log_dir)}" if log_dir else place
+            listing = f"list all with `phm faults --all{place}`"
+            click.echo(f"fault {fault} is not in the log in {directory}: {listing}", err=True)
             ctx.exit(1)
     elif not everything:
         lasting = [episode for episode in found if episode["outcome"] == "open" or episode["current"]]

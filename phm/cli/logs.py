@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -15,7 +16,7 @@ import click
 from phm.cli.hold import Duration
 from phm.cli.logs_bundle import bundle
 from phm.cli.logs_collect import collect
-from phm.cli.options import config_option, json_option, load_settings
+from phm.cli.options import config_option, from_command_line, json_option, load_settings
 
 if TYPE_CHECKING:
     from phm.logs.line_filter import LineFilter, TakeOff
@@ -144,7 +145,8 @@ def command(
         gates = _take_offs(logs, awaited=follow) if since == TAKE_OFF else [None] * len(logs)
     except log_paths.NoLog as error:
         raise click.ClickException(str(error)) from None
-    show = _show_json if as_json else _Printer(brief, several=len(logs) > 1).show
+    elsewhere = bool(paths) or from_command_line("config")
+    show = _show_json if as_json else _Printer(brief, several=len(logs) > 1, elsewhere=elsewhere).show
     try:
         count = _print(logs, gates, criteria, show, follow=follow)
         while follow:
@@ -189,43 +191,51 @@ def _print(
     """Print what is new, in the order of time; how many events."""
     from phm.logs.line_filter import utc_s
 
-    def chosen(log: LogReader, gate: TakeOff | None) -> Iterator[tuple[Json, bool]]:
+    def chosen(log: LogReader, gate: TakeOff | None) -> Iterator[tuple[Json, bool, Path]]:
         for event in log.events(last=not follow):
             if gate is None or gate.takes(event):
-                yield event, criteria.takes(event)
+                yield event, criteria.takes(event), log.path
 
     count = 0
     streams = [chosen(log, gate) for log, gate in zip(logs, gates, strict=True)]
-    for event, wanted in heapq.merge(*streams, key=lambda pair: utc_s(pair[0])):
-        show(event, wanted)
+    for event, wanted, path in heapq.merge(*streams, key=lambda one: utc_s(one[0])):
+        show(event, wanted, path)
         count += wanted
     return count
 
 
-def _show_json(event: Json, wanted: bool) -> None:
+def _show_json(event: Json, wanted: bool, path: Path) -> None:
     if wanted:
         click.echo(json.dumps(event, separators=(",", ":")))
 
 
 class _Printer:
-    """Prints events for people, with a line where numbers are missing."""
+    """Prints events for people, with a line where numbers are missing.
 
-    def __init__(self, brief: bool, several: bool) -> None:
+    elsewhere: `phm faults` does not find the logs by itself, so the hints say where they are.
+    """
+
+    def __init__(self, brief: bool, several: bool, elsewhere: bool) -> None:
         from phm.cli import terminal
         from phm.logs.line_explainer import Explainer
 
-        self._brief, self._several = brief, several
+        self._brief, self._several, self._elsewhere = brief, several, elsewhere
         self._explainer, self._console = Explainer(), terminal.console()
 
-    def show(self, event: Json, wanted: bool) -> None:
+    def show(self, event: Json, wanted: bool, path: Path) -> None:
         from rich.text import Text
+
+        from phm.wire.text import one_line
 
         missing = self._explainer.gap(event)
         if missing:
-            self._put(Text(f"{missing} lines are missing here: incomplete, or never written", "yellow"))
+            lines = "1 line is" if missing == 1 else f"{missing} lines are"
+            self._put(Text(f"{lines} missing here: incomplete, or never written", "yellow"))
         if not wanted:
             return
-        said = self._explainer.explain(event)
+        place = path.parent if path.name == "phm.jsonl" else path
+        options = one_line(f" --log-dir {quote(str(place))}") if self._elsewhere else ""
+        said = self._explainer.explain(event, options)
         if said.text:
             line = Text(f"{said.when} ", "dim")
             if self._several:

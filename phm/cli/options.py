@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+from click.core import ParameterSource
 
 if TYPE_CHECKING:
     from phm.core.settings import Settings
@@ -49,6 +50,11 @@ def run_dir_option(function: F) -> F:
 def json_option(function: F) -> F:
     """Adds `--json`."""
     return click.option("--json", "as_json", is_flag=True, help="Print JSON instead of a table.")(function)
+
+
+def from_command_line(name: str) -> bool:
+    """Whether this option of the present command was typed: a command that is named in a hint needs it, too."""
+    return click.get_current_context().get_parameter_source(name) is ParameterSource.COMMANDLINE
 
 
 def load_settings(path: str | None) -> Settings:

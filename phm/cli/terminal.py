@@ -15,7 +15,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from phm.wire.report import NOT_APPLICABLE
+from phm.wire.report import NOT_APPLICABLE, with_hertz
 from phm.wire.text import one_line
 
 Json = Mapping[str, Any]
@@ -184,7 +184,7 @@ def _units(rows: Iterable[Json]) -> Table:
     table = _table("slot", "unit", "level", "what")
     for row in sorted(rows, key=lambda row: int(row["slot"])):
         level = str(row["level"])
-        cause, what = f"blocked by {row['blocked_by']}", str(row["summary"])
+        cause, what = f"blocked by {row['blocked_by']}", with_hertz(row, str(row["summary"]))
         if row["blocked_by"] and not what.startswith(cause):
             what = cause
         table.add_row(str(row["slot"]), _plain(row["id"]), _plain(level, _STYLES.get(level, "")), _plain(what))

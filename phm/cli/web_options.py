@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -15,10 +16,17 @@ S = TypeVar("S")
 F = TypeVar("F", bound=Callable[..., Any])
 
 
+_CONNECTION = re.compile(r"(udpin|udpout|udpbcast|tcp|tcpin):|/|COM\d|\w+://")
+"""What begins as a URL of `phm gcs`. After `--web`, which needs no value, it would be taken for an address."""
+
+
 def address(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, int] | None:
     """The address in a text such as ``HOST:PORT`` or ``PORT``."""
     if value is None:
         return None
+    if _CONNECTION.match(value):
+        option = param.opts[0]
+        raise click.BadParameter(f"{value!r} is a connection: write it before {option}: phm gcs {value} {option} 8080")
     host, _, port = value.rpartition(":")
     if not port.isdecimal() or int(port) > 65535:
         raise click.BadParameter(f"{value!r} needs a port from 0 to 65535, e.g. 8014 or 192.168.7.1:8014")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pydantic import BaseModel
@@ -90,6 +90,15 @@ def sentence(error: Mapping[str, Any]) -> str:
     if kind == "string_too_short":
         return "is empty, expected at least one character"
     return f"is {shown(value)}: {error['msg']}"
+
+
+def of_alternatives(errors: Sequence[Mapping[str, Any]]) -> str:
+    """The same for a value of which pydantic reports each type that it may have: what is wrong if it has one of them, else all types."""
+    for error in errors:
+        if error["type"] not in _WANTED:
+            return sentence(error)
+    words = sorted((_WANTED[str(error["type"])] for error in errors), key=lambda words: " or " not in words)
+    return f"is {_what(errors[0].get('input'))}, expected {', '.join(words[:-1])} or {words[-1]}"
 
 
 def _unknown_key(path: Path) -> str:

@@ -16,10 +16,10 @@ from pydantic import ValidationError
 
 from phm.config import rules
 from phm.config.env_expansion import Expander
-from phm.config.error_messages import sentence
+from phm.config.error_messages import of_alternatives, sentence
 from phm.config.node import ConfigNode
-from phm.config.problems import ConfigError, Problem, dotted
-from phm.config.schema_lookup import without_types
+from phm.config.problems import ConfigError, Path, Problem, dotted
+from phm.config.schema_lookup import without_alternatives, without_types
 from phm.config.yaml_tree import MAX_BYTES, Tree, parse
 from phm.core.settings import Settings
 
@@ -123,14 +123,22 @@ def _validate(tree: Tree, file: str) -> tuple[Settings | None, list[Problem]]:
     except ValidationError as error:
         found: list[Any] = list(error.errors(include_url=False))
     problems = []
+    alternatives: dict[Path, list[Any]] = {}
     for entry in found:
         # Pydantic marks a problem of a mapping's key.
-        path = without_types(tuple(part for part in entry["loc"] if part != "[key]"))
+        whole = tuple(part for part in entry["loc"] if part != "[key]")
+        value = without_alternatives(whole)
+        path = without_types(value)
         if str(entry["type"]).startswith("union_tag_"):
             path = (*path, "type")
         if any(path[:end] in tree.bad for end in range(1, len(path) + 1)):
             continue  # its cause is already reported
-        problems.append(Problem(file, tree.line(path), dotted(path), sentence(entry)))
+        if value != whole:
+            alternatives.setdefault(path, []).append(entry)
+        else:
+            problems.append(Problem(file, tree.line(path), dotted(path), sentence(entry)))
+    for path, entries in alternatives.items():
+        problems.append(Problem(file, tree.line(path), dotted(path), of_alternatives(entries)))
     return None, problems
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, get_args, get_origin
+from types import NoneType, UnionType
+from typing import Any, Union, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
@@ -61,6 +62,14 @@ def without_types(path: Path) -> Path:
         if field is None or part not in _by_type(field):
             kept.append(part)
     return tuple(kept)
+
+
+def without_alternatives(path: Path) -> Path:
+    """The path of a value of several possible types (`bool | float | str`), from that in an error of pydantic, which adds one of them."""
+    model = model_at(path[:-2]) if len(path) > 1 else None
+    field = model.model_fields.get(str(path[-2])) if model else None
+    types = get_args(field.annotation) if field and get_origin(field.annotation) in (Union, UnionType) else ()
+    return path[:-1] if sum(each is not NoneType for each in types) > 1 else path
 
 
 def _by_type(field: FieldInfo) -> dict[str, type[BaseModel]]:

@@ -24,11 +24,13 @@ class DoctorContext:
     settings:      those of a valid configuration, else the defaults.
     configuration: the file they come from, empty for the defaults.
     problem:       why there is no valid configuration, else empty.
+    invalid:       the file that has the problem.
     """
 
     settings: Settings
     configuration: str = ""
     problem: str = ""
+    invalid: str = ""
     environ: Mapping[str, str] = field(default_factory=lambda: dict(os.environ))
     proc: Path = Path("/proc")
     sysfs: Path = Path("/sys")

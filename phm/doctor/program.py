@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Iterator
+from shlex import quote
 
 from phm import __version__
 from phm.doctor.context import DoctorContext
@@ -16,7 +17,8 @@ def rows(context: DoctorContext) -> Iterator[Row]:
     if context.configuration:
         yield ok("configuration", f"{context.configuration} is valid")
     elif context.problem:
-        yield missing("configuration", context.problem, "correct the file; `phm validate` lists every problem")
+        command = f"phm validate -c {quote(context.invalid)}"
+        yield missing("configuration", context.problem, f"correct the file; `{command}` lists every problem")
     else:
         yield limited(
             "configuration", "none, so the defaults are examined", "`phm init` writes one; -c FILE names another"

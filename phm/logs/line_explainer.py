@@ -11,6 +11,7 @@ from typing import Any
 
 from phm.core.duplicate_filter import DuplicateFilter
 from phm.logs.line_filter import number
+from phm.wire.report import with_hertz
 from phm.wire.text import one_line
 
 Json = Mapping[str, Any]
@@ -45,9 +46,12 @@ class Explainer:
         self._faults: DuplicateFilter[tuple[str, str], str] = DuplicateFilter(_REMEMBERED)
         self._last: DuplicateFilter[str, tuple[object, int]] = DuplicateFilter(_REMEMBERED)
 
-    def explain(self, event: Json) -> Words:
-        """A line in words. The text is empty if the line before has reported the fault that this transition opened."""
-        name, made = event.get("event"), words(event)
+    def explain(self, event: Json, options: str = "") -> Words:
+        """A line in words. The text is empty if the line before has reported the fault that this transition opened.
+
+        options: what `phm faults` needs to find this log.
+        """
+        name, made = event.get("event"), words(event, options)
         said = (_text(event, "agent"), _text(event, "fault"))
         if name == "fault_opened":
             self._faults.add(said, _text(event, "summary"))
@@ -68,19 +72,19 @@ class Explainer:
         return max(0, seq - before[1] - 1)
 
 
-def words(event: Json) -> Words:
-    """A line of a log in words. Every text is safe to print and bounded."""
+def words(event: Json, options: str = "") -> Words:
+    """A line of a log in words. Every text is safe to print and bounded. options: as for `Explainer.explain`."""
     when = _text(event, "utc")[:24].removesuffix("Z").replace("T", " ", 1)
     slot = event.get("slot")
     place = f"({slot}) " if isinstance(slot, int) else ""
-    details = tuple((label, text) for label, text in _details(event) if text)
+    details = tuple((label, text) for label, text in _details(event, options) if text)
     return Words(when, _text(event, "agent")[:64], _text(event, "kind")[:16] or "?", place + _said(event), details)
 
 
 def _said(event: Json) -> str:
     name, unit = event.get("event"), _text(event, "unit")
     if name in ("transition", "unit", "fault_opened"):
-        return f"{unit}: {_text(event, 'summary')}{_was(event)}"
+        return f"{unit}: {with_hertz(event, _text(event, 'summary'))}{_was(event)}"
     if name == "fault_closed":
         by, lasted = _text(event, "by"), event.get("duration_s")
         after = f" after {number(lasted):.1f} s" if isinstance(lasted, (int, float)) else ""
@@ -102,37 +106,35 @@ def _was(event: Json) -> str:
     return "" if event.get("event") != "transition" or event.get("changed_text") else f" (was {_text(event, 'old')})"
 
 
-def _details(event: Json) -> Iterator[tuple[str, str]]:
+def _details(event: Json, options: str) -> Iterator[tuple[str, str]]:
     name, fault = event.get("event"), _text(event, "fault")
+    timeline = f"phm faults {fault}{options}" if fault else ""
     if name in ("transition", "unit"):
         blocker = _text(event, "blocked_by")
         cause = f"blocked by {blocker}" if blocker else _condition(event)
         yield "cause", "" if cause in _text(event, "summary") else cause
         if event.get("level") not in ("OK", "n/a"):
             yield "values", _values(event.get("values"))
-            yield "see", _timeline(fault)
+            yield "see", timeline
     elif name == "fault_opened":
         yield "cause", _condition(event)
         yield "possible cause", _list(event.get("suspects"))
         yield "blocks", _list(event.get("consequences")) or _list(event.get("blocks"))
-        yield "see", _timeline(fault)
+        yield "see", timeline
     elif name == "fault_closed":
         yield "had blocked", _list(event.get("blocks"))
-        yield "see", _timeline(fault) if event.get("outcome") == "escalated" else ""
+        yield "see", timeline if event.get("outcome") == "escalated" else ""
     elif name == "action":
         phase = _text(event, "phase")
         yield "means", _MEANING.get(phase, "")
-        yield "remedy", f"phm approve {fault}" if phase == "advised" and fault else ""
-        yield "see", _timeline(fault) if phase in ("failed", "escalated") else ""
+        where = f" (on {_text(event, 'agent')})" if options else ""
+        yield "remedy", f"phm approve {fault}{where}" if phase == "advised" and fault else ""
+        yield "see", timeline if phase in ("failed", "escalated") else ""
 
 
 def _condition(event: Json) -> str:
     condition, target = _text(event, "condition"), _text(event, "target")
     return f"{condition.replace('_', ' ')}{f' in {target}' if target else ''}" if condition else ""
-
-
-def _timeline(fault: str) -> str:
-    return f"phm faults {fault}" if fault else ""
 
 
 def _values(values: object) -> str:

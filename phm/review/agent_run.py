@@ -70,6 +70,10 @@ class Run:
     clock: list[tuple[float, float]] = field(default_factory=list)
     """(mono, utc - mono), at the first line and after each step."""
     changes: list[Change] = field(default_factory=list)
+    unlogged: list[Change] = field(default_factory=list)
+    """Lines of units in reports with another level than the line before about the unit: that about the change was lost."""
+    last_level: dict[str, str] = field(default_factory=dict)
+    """The level in the last line about each unit."""
     marks: list[RunMark] = field(default_factory=list)
     faults: dict[str, dict[str, Any]] = field(default_factory=dict)
     units: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -94,6 +98,10 @@ class Run:
     series: dict[str, Series] = field(default_factory=dict)
     unplotted: set[str] = field(default_factory=set)
     """Names of measurements beyond MOST_SERIES."""
+
+    def levels(self) -> list[Change]:
+        """What lines say of the levels of units, in the order of time, also where the line about a change was lost."""
+        return sorted([*self.changes, *self.unlogged], key=lambda change: (change.mono, change.seq))
 
     def series_of(self, name: str, new: Series | None = None) -> Series | None:
         """The series of this measurement, or `new` if there is room for it; None: there is none."""
@@ -122,6 +130,7 @@ class Run:
         self.numbers.merge(other.numbers)
         self.clock = sorted({*self.clock, *other.clock})
         self.changes += other.changes
+        self.unlogged += other.unlogged
         self.marks += other.marks
         for fault, known in other.faults.items():
             mine = self.faults.setdefault(fault, known)

@@ -22,8 +22,8 @@ def of_units(agent: AgentRecord) -> dict[str, list[Segment]]:
         points: dict[str, list[tuple[float, str]]] = {
             unit: [(clock.t(body["at"]), body["level"])] for unit, body in run.units.items()
         }
-        for change in run.changes:
-            if not change.text_only and change.unit in points:
+        for change in run.levels():
+            if change.unit in points and change.level != points[change.unit][-1][1]:
                 points[change.unit].append((clock.t(change.mono), change.level))
         end = cover[-1][1] if cover else 0.0
         for unit, known in points.items():

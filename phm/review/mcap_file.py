@@ -126,11 +126,12 @@ def _events(record: Record, agent: AgentRecord) -> Iterator[tuple[float, str, An
         for unit, body in run.units.items():
             facts.setdefault(unit, body)
             yield clock.t(body["at"]), "unit", (unit, _status(agent, unit, body, body["level"], body["summary"]))
-    for t, change in agent.changes:
+    for change, clock in ((change, clock) for run, clock in agent.runs for change in run.levels()):
         more = {"condition": change.condition, "blocked_by": change.blocked_by, "fault": change.fault}
         values = {**more, **change.values}
         body = facts.get(change.unit, {})
-        yield t, "unit", (change.unit, _status(agent, change.unit, body, change.level, change.summary, values))
+        status = _status(agent, change.unit, body, change.level, change.summary, values)
+        yield clock.t(change.mono), "unit", (change.unit, status)
     for begin, end in agent.cover:
         yield begin, "runs", None
         yield end, "stops", None

@@ -12,6 +12,8 @@ from phm.review.record import AgentRecord, Record
 Json = dict[str, Any]
 EDGE_S = 0.001
 """UTC and monotonic time differ by rounding: a line at the edge of the window is in it."""
+RELOADED = "configuration reloaded: "
+"""Beginning of the note about a reload (`phm.runtime.reloader`)."""
 Runs = Sequence[tuple[Run, float, float]]
 """Runs, each with the window on its own clock."""
 
@@ -43,10 +45,12 @@ def _agent(
     reports = sum(first <= mono <= last for run, first, last in runs for mono in run.reports)
     costs = [cost for run, first, last in runs if (cost := run.cost.between(first, last)) is not None]
     seconds = sum(cost[0] for cost in costs)
+    reloads = sum(map(_by_reload, (run for run, _, _ in runs[1:])))
     return {
         "agent": agent.name,
         "uptime": uptimes.get(agent.name),
-        "restarts": len(runs) - 1,
+        "restarts": len(runs) - 1 - reloads,
+        "reloads": reloads,
         "cpu_percent": round(100 * sum(cost[1] for cost in costs) / seconds, 2) if seconds > 0 else None,
         "memory_bytes": max(run.cost.memory(first, last) for run, first, last in runs) or None,
         "sent_bytes": round(sum(cost[2] for cost in costs)) if costs else None,
@@ -56,6 +60,12 @@ def _agent(
         "check_mean_ms": _checks(runs) if whole else None,
         "text_bytes": _text_bytes(record, agent.id, begin, end, whole=whole),
     }
+
+
+def _by_reload(run: Run) -> bool:
+    """Whether it began with a reload of the configuration: its log says what has changed. Without changes no run begins."""
+    said = [mark.text for mark in run.marks if mark.what == "note" and mark.body["kind"] == "PHM"]
+    return any(text.startswith(RELOADED) and not text.startswith(f"{RELOADED}no changes") for text in said)
 
 
 def _overlaps(run: Run, clock: RunClock, begin: float, end: float) -> bool:

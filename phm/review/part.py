@@ -144,13 +144,23 @@ class Part:
             spent = run.check_ms.setdefault(event.check, [0.0, 0.0, 0.0])
             spent[0], spent[1], spent[2] = spent[0] + 1, spent[1] + spent_ms, max(spent[2], spent_ms)
 
+    def _reported(self, run: Run, event: Event) -> None:
+        """A unit in a report. Each part's first line of a unit counts as a change: it is not known what the others say."""
+        self._unit(run, event)
+        if event.unit in run.units and event.level and event.level != run.last_level.get(event.unit):
+            self._keep(run.unlogged, run, event)
+
     def _change(self, run: Run, event: Event) -> None:
         self._unit(run, event)
-        if len(run.changes) >= MOST_EVENTS:
+        self._keep(run.changes, run, event)
+
+    def _keep(self, changes: list[Change], run: Run, event: Event) -> None:
+        if len(changes) >= MOST_EVENTS:
             run.left_out += 1
             return
         same = self._same
-        run.changes.append(
+        run.last_level[event.unit] = same(event.level)
+        changes.append(
             Change(
                 event.seq,
                 event.mono,
@@ -292,7 +302,7 @@ def _boot(run: Run, event: Event, boot_s: float) -> None:
 _HANDLERS: dict[str, Callable[[Part, Run, Event], None]] = {
     "start": Part._start,
     "transition": Part._change,
-    "unit": Part._unit,
+    "unit": Part._reported,
     "fault_opened": Part._fault,
     "fault_closed": Part._fault,
     "report": Part._report,

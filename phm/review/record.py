@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import itertools
 import statistics
 from array import array
@@ -146,12 +147,24 @@ def _once(run: Run) -> None:
     run.clock = ordered_clock(run.clock)
     changes = {(change.seq, change.mono, change.unit): change for change in run.changes}
     run.changes = sorted(changes.values(), key=lambda change: (change.mono, change.seq))
+    run.unlogged = _unlogged(run)
     marks = {(mark.seq, mark.mono): mark for mark in run.marks}
     run.marks = sorted(marks.values(), key=lambda mark: (mark.mono, mark.seq))
     run.reports = array("d", sorted(set(run.reports)))
     run.cover.tolerance = max(QUIET_S, 2.5 * _interval_s(run))
     run.cover.merge(Cover(0.0))
     run.numbers.merge(Cover(0.0))
+
+
+def _unlogged(run: Run) -> list[Change]:
+    """Those that are changes, now that all parts of the run are known."""
+    found = {(change.seq, change.mono, change.unit): change for change in run.unlogged}
+    levels = {unit: body["level"] for unit, body in run.units.items()}
+    for change in run.levels():
+        if levels.get(change.unit) == change.level:
+            found.pop((change.seq, change.mono, change.unit), None)
+        levels[change.unit] = change.level
+    return list(found.values())
 
 
 def _interval_s(run: Run) -> float:
@@ -207,19 +220,29 @@ def _continued(faults: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _end_forgotten(agent: AgentRecord) -> None:
-    """A fault that a later run does not know although its unit is OK has ended at an unknown time, at the latest with its run."""
+    """A fault whose end has no line. Its unit is OK later in its run: it had ended by then. A later run does not know it although its
+    unit is OK: it ended at an unknown time, at the latest with its run."""
     last: dict[str, tuple[Run, str]] = {}
-    ends: dict[str, float] = {}
+    ends: dict[str, tuple[str, float]] = {}
+    recovered: dict[tuple[str, str], list[float]] = {}
     for run, clock in agent.runs:
         last.update({unit: (run, body["level"]) for unit, body in run.units.items()})
-        last.update({change.unit: (run, change.level) for change in run.changes if not change.text_only})
-        ends.update({fault: clock.t(run.cover.spans[-1][1]) for fault in run.faults if run.cover.spans})
+        for change in run.levels():
+            last[change.unit] = (run, change.level)
+            if change.level == "OK":
+                recovered.setdefault((run.boot_id, change.unit), []).append(clock.t(change.mono))
+        ends.update({fault: (run.boot_id, clock.t(run.cover.spans[-1][1])) for fault in run.faults if run.cover.spans})
     for fault in agent.faults:
         if fault["closed"] is not None or fault["unit"] not in last:
             continue
         run, level = last[fault["unit"]]
-        if level == "OK" and fault["fault"] not in run.faults:
-            fault.update(closed=max(fault["opened"], ends.get(fault["fault"], fault["opened"])), outcome="unknown")
+        boot, end = ends.get(fault["fault"], ("", fault["opened"]))
+        times = recovered.get((boot, fault["unit"]), [])
+        place = bisect.bisect_right(times, fault["opened"])
+        if place < len(times):
+            fault.update(closed=times[place], outcome="unknown")
+        elif level == "OK" and fault["fault"] not in run.faults:
+            fault.update(closed=max(fault["opened"], end), outcome="unknown")
 
 
 def _armed(agent: AgentRecord, grounds: list[tuple[GroundRun, RunClock]]) -> None:

@@ -126,7 +126,7 @@ def phm(row: Json) -> tuple[str, ...]:
     )
     times = (_known(row["report_mean_s"], "{:.3f} s"), _known(row["report_longest_s"], "{:.3f} s"))
     ran = _known(row["uptime"], "{:.2f} %", 0.01)
-    return (row["agent"], ran, str(row["restarts"]), str(row["reports"]), *times, *cost)
+    return (row["agent"], ran, str(row["restarts"]), str(row["reloads"]), str(row["reports"]), *times, *cost)
 
 
 def cut(document: Json) -> list[tuple[str, ...]]:

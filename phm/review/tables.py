@@ -40,7 +40,7 @@ def _of_the_flight(document: Json, most: int) -> Iterator[Table]:
             ("metric", "paper", "this record"),
             table_rows.injection_metrics(document["injection_metrics"]),
         )
-    head: tuple[str, ...] = ("agent", "faults", "ERROR", "WARN", "unknown", "PHM ran", "armed")
+    head: tuple[str, ...] = ("agent", "faults", "in ERROR", "in WARN", "not known", "PHM ran", "armed")
     yield "Agents", head, [table_rows.agent(row) for row in vehicles(document)]
     head = ("flight", "began (UTC)", "lasted", "agents")
     yield "Flights", head, [table_rows.flight(row) for row in document["flights"]]
@@ -55,13 +55,13 @@ def _of_the_flight(document: Json, most: int) -> Iterator[Table]:
         yield table_rows.others(document["other"], most)
     low = [row for row in document["availability"] if row["availability"] is not None and row["availability"] < 1]
     low.sort(key=lambda row: float(row["availability"]))
-    yield AVAILABILITY, ("agent", "of", "availability", "in ERROR", "unknown"), list(map(table_rows.available, low))
-    head = ("agent", "unit", "unknown", "because of a fault")
+    yield AVAILABILITY, ("agent", "of", "availability", "in ERROR", "not known"), list(map(table_rows.available, low))
+    head = ("agent", "unit", "cause unknown", "because of a fault")
     yield "What was not known", head, [table_rows.unknown(row) for row in document["unknown"]]
 
 
 def _of_the_record(document: Json) -> Iterator[Table]:
-    head: tuple[str, ...] = ("agent", "ran", "restarts", "reports", "report takes", "longest")
+    head: tuple[str, ...] = ("agent", "ran", "restarts", "reloads", "reports", "report takes", "longest")
     cost = ("CPU", "memory", "sent", "text received from it")
     yield "PHM itself", head + cost, [table_rows.phm(row) for row in document["phm"]["agents"]]
     clocks = [table_rows.clock(row) for row in document["clocks"]["runs"]]

@@ -7,6 +7,7 @@ state these keys as a contract.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta, timezone
 from functools import lru_cache
@@ -21,6 +22,7 @@ OK_LEVELS = (Level.OK.name, NOT_APPLICABLE)
 ARRAY_SLOTS = 8
 """The printed status array covers the slots of the paper's Fig. 5, 1 to 8."""
 
+_RATE = re.compile(r": \d+\.\d{3}$")
 _EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 
@@ -89,6 +91,12 @@ def unit_json(state: UnitState) -> dict[str, Any]:
         "since": iso(state.since.utc),
         "values": values_json(result.values),
     }
+
+
+def with_hertz(row: Mapping[str, Any], summary: str) -> str:
+    """The summary of a unit (`unit_json`). A rate that is OK has no unit in the log, as in Fig. 5 of the paper; here it has."""
+    rate = row.get("check") == "rates" and row.get("level") == "OK" and _RATE.search(summary)
+    return f"{summary} Hz" if rate else summary
 
 
 def fault_json(fault: Fault, *, blocks: Sequence[str] | None = None) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from phm.cli import group
-from phm.doctor import examination
+from phm.doctor import examination, program
 from phm.doctor.context import DoctorContext
 from phm.doctor.row import Row
 
@@ -58,6 +58,7 @@ def test_doctor_works_without_and_with_a_broken_configuration(tmp_path: Path, mo
     (tmp_path / "phm.yaml").write_text("agent: {id: 0}\n")
     (broken,) = invoke(monkeypatch, [OK], "-c", "phm.yaml")[2]
     assert "agent.id" in broken.problem and not broken.configuration
+    assert "`phm validate -c phm.yaml` lists every problem" in list(program.rows(broken))[1].remedy
     (tmp_path / "phm.yaml").write_text("agent: {id: 7}\n")
     (good,) = invoke(monkeypatch, [OK], "-c", "phm.yaml")[2]
     assert good.configuration == "phm.yaml" and good.settings.agent.id == 7

@@ -144,7 +144,7 @@ def test_an_unknown_fault_is_reported(tmp_path: Path) -> None:
     """Exit code 1, with the command that lists faults."""
     record(tmp_path, *OPEN)
     result = invoke(tmp_path, "zz")
-    assert (result.exit_code, "`phm faults --all`" in result.output) == (1, True)
+    assert (result.exit_code, f"`phm faults --all --log-dir {tmp_path}" in result.output) == (1, True)
 
 
 def test_unexpected_events_are_harmless() -> None:

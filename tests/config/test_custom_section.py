@@ -50,6 +50,10 @@ def refused(entries: str) -> list[str]:
         ("{name: a, type: http, url: 'http://x:99999/'}", "custom[0].url: 'http://x:99999/' has no valid host and port"),
         ("{name: a, type: http, url: 'http://x/', body: '('}", "custom[0].body: is '(', which is not a regular expression"),
         ("{name: a, type: http, url: 'http://x/', equals: 3}", "custom[0].equals: is never used without 'json_field'"),
+        ("{name: a, type: http, url: 'http://x/', json_field: f, equals: [1]}", "custom[0].equals: is a list, expected true or false, text or a number"),
+        ("{name: a, type: topic, topic: /t, field: data, equals: [1]}", "custom[0].equals: is a list, expected true or false, a number or text"),
+        ("{name: a, type: topic, topic: /t, field: data, equals: .inf}", "custom[0].equals: is inf, expected a finite number"),
+        (f"{{name: a, type: topic, topic: /t, field: data, equals: {'x' * 101}}}", "custom[0].equals: is 'xxx"),
         ("{name: a, type: log, patterns: [{pattern: x}]}", "custom[0]: has no log: give 'path' or 'container'"),
         ("{name: a, type: log, path: /x, container: app, patterns: [{pattern: x}]}", "custom[0]: has 'path' and 'container'"),
         ("{name: a, type: log, path: /x, patterns: [{pattern: '['}]}", "custom[0].patterns[0].pattern: is '[', which is not"),
@@ -64,9 +68,9 @@ def test_a_mistake_is_named_with_its_line(entry: str, problem: str) -> None:
 
 
 def test_the_list_of_units_is_named_where_a_unit_is_unknown() -> None:
-    """`phm checks` alone lists names of checks, which are no units."""
+    """`phm checks` alone lists names of checks, which are no units. With the need that is wrong it lists nothing."""
     (found,) = refused(f"  - {{{TCP}, needs: [container]}}\n")
-    assert found.endswith("(`phm checks --graph` lists them)")
+    assert found.endswith("(without this need, `phm checks --graph` lists them)")
 
 
 def test_names_are_unique_over_all_types() -> None:

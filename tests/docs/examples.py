@@ -85,7 +85,7 @@ def _init() -> str:
             output = CliRunner().invoke(group, words, input="\n" * 5).output.replace(f"{place}/", "~/")
     finally:
         init.on_terminal = before
-    return "\n".join(["$ .venv/bin/phm init ~/phm", *(line.rstrip() for line in output.splitlines())])
+    return "\n".join(["$ phm init ~/phm", *(line.rstrip() for line in output.splitlines())])
 
 
 def _faults() -> list[dict[str, Any]]:
@@ -105,7 +105,9 @@ def _logs() -> str:
     words = "--kind FAILURE --kind ACTION --kind RESOLVED"
     with tempfile.TemporaryDirectory() as place:
         Path(place, "phm.jsonl").write_text("\n".join(map(json.dumps, play().record)), "utf-8")
-        output = CliRunner().invoke(group, ["logs", place, *words.split()], env={"COLUMNS": str(WIDTH)}).output
+        Path(place, "phm.yaml").write_text(f"log: {{directory: {place}}}\n", "utf-8")
+        environment = {"COLUMNS": str(WIDTH), "PHM_CONFIG": f"{place}/phm.yaml"}
+        output = CliRunner().invoke(group, ["logs", *words.split()], env=environment).output
     return "\n".join([f"$ phm logs {words}", *(line.rstrip() for line in output.splitlines())])
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import gzip
 import json
 import os
+import re
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -14,15 +16,16 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 
-from phm.cli import group
+from phm.cli import group, terminal
 from phm.core.clock import SystemClock
-from phm.core.model import ActionEvent, Event, Level, Note, Outcome, Phase, Slot
+from phm.core.model import ActionEvent, Event, Level, Note, Outcome, Phase, Report, Slot
 from phm.core.settings import Settings
 from phm.logs.line_filter import utc_s
 from phm.logs.reader import LogReader
 from phm.reporters.base import ReporterContext
 from phm.reporters.log import LogReporter
 from phm.runtime.sections import reporter_settings
+from phm.wire.report import unit_json
 from tests.fakes.records import at, closed, context, opened, transition, unit
 from tests.fakes.until import until
 
@@ -106,6 +109,37 @@ def test_a_fault_is_explained_with_cause_values_consequence_and_remedy(tmp_path:
         assert words in shown
     assert shown.count("Node n1 is not running") == 1
     assert "cause:" not in logs(tmp_path, "--brief").output
+
+
+def test_the_command_that_is_named_shows_the_fault_of_the_log_that_was_given(tmp_path: Path) -> None:
+    """Wherever the log is: of several agents, as a copy with another name, or by a configuration."""
+    record(tmp_path / "two logs" / "agent 1", *STORY)
+    record(tmp_path / "two logs" / "agent 2", *STORY, name="agent_2")
+    copy = tmp_path / "a7.jsonl"
+    copy.write_bytes((tmp_path / "two logs" / "agent 2" / "phm.jsonl").read_bytes())
+    configuration = tmp_path / "phm.yaml"
+    configuration.write_text(f"log: {{directory: '{tmp_path / 'two logs' / 'agent 1'}'}}\n")
+    for given in ([tmp_path / "two logs"], [copy], ["-c", configuration]):
+        named = re.findall("see: phm (faults .*)", logs(*given).output)
+        assert named
+        for words in named:
+            found = CliRunner().invoke(group, [*shlex.split(words), "--run-dir", str(tmp_path)])
+            assert found.exit_code == 0 and "nodes/n1" in found.output, (words, found.output)
+    assert "remedy: phm approve ab12-1 (on agent_2)" in logs(copy).output
+    default = CliRunner().invoke(group, ["logs"], env={"PHM_CONFIG": str(configuration)}).output
+    assert "see: phm faults ab12-1\n" in default and "remedy: phm approve ab12-1\n" in default
+
+
+def test_a_rate_has_its_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """In the text log it has none, as in the paper."""
+    state = unit("rates/t1", Slot.RATES, Level.OK, "t1: 10.000")
+    log = log_of(tmp_path)
+    log.handle(Report(at(0.0), 1, at(0.0), (state,)))
+    log.close()
+    assert "rates/t1: t1: 10.000 Hz\n" in logs(tmp_path, "--reports").output
+    assert "t1: 10.000\n" in (tmp_path / "phm.log").read_text()
+    terminal.report({"checks": [unit_json(state)], "status_array": []})
+    assert "t1: 10.000 Hz" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("number", [b"1" + b"0" * 400, b"1e999"], ids=["integer", "infinity"])

@@ -8,9 +8,11 @@ from typing import Any
 
 import pytest
 
-from phm.review import page
+from phm.core.model import Note
+from phm.review import page, table_rows
 from phm.review.cost import MOST, Cost
-from tests.review.records import T0, Ground, report
+from phm.runtime.reloader import ReloadOutcome
+from tests.review.records import T0, Ground, flown, report
 
 LINE = {"v": 2, "agent": "agent_1", "agent_id": 1, "boot_id": "b", "kind": "PHM"}
 CALM, BUSY = 0.01, 0.5
@@ -84,6 +86,19 @@ def test_figures_that_the_record_of_a_flight_lacks_are_unknown(tmp_path: Path) -
     unknown = ("cpu_percent", "memory_bytes", "sent_bytes", "check_mean_ms", "text_bytes")
     assert [row[key] for key in unknown] == [None] * 5
     assert "not known" in page.render(made)
+
+
+def test_a_reload_of_the_configuration_is_not_a_restart(tmp_path: Path) -> None:
+    """It begins a run, too, whose log says so. A reload that changes nothing begins none, and one that was refused neither."""
+    nothing, refused = ReloadOutcome(True, restart=("mavlink",)), ReloadOutcome(False, why="an action is in progress")
+    for place, outcome in enumerate((None, ReloadOutcome(True, ("log",), ("mavlink",)), nothing, refused, None)):
+        with flown(tmp_path, boot=f"boot000{place}", start=200.0 * place) as made:
+            if outcome is not None:
+                made.log.handle(Note(made.at, "PHM", outcome.text()))
+            made.until(200.0 * place + 100)
+    (row,) = report(tmp_path)["phm"]["agents"]
+    assert (row["restarts"], row["reloads"]) == (3, 1)
+    assert table_rows.phm(row)[2:4] == ("3", "1")
 
 
 def test_samples_of_the_cost_are_limited_and_totals_stay_right() -> None:

@@ -1,13 +1,15 @@
-"""Levels over time: what the ground received of an agent over a link gap, and why a unit was unknown."""
+"""Levels over time: what the ground received of an agent over a link gap, lost lines, and why a unit was unknown."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from phm.core.model import Level, Transition
+from phm.review import table_rows
 from tests.review.records import T0, Flown, Ground, report
 
 UNIT = "rates/topic_1"
@@ -56,6 +58,73 @@ def test_an_agent_that_left_has_no_level_after_its_last_heartbeat(tmp_path: Path
     made.event(60, "slots", agent=7, name="A07", slots={"6": "OK"})
     made.event(120, "snapshot")
     assert spent(made.close()) == [[0, 60, "OK"]]
+
+
+def without(path: Path, *words: bytes) -> None:
+    """The log loses the first line after its beginning that has all these words."""
+    lines = path.read_bytes().splitlines(keepends=True)
+    lost = next(place for place, line in enumerate(lines) if all(word in line for word in words))
+    path.write_bytes(b"".join(lines[:lost] + lines[lost + 1 :]))
+
+
+RECOVERED = (b'"event":"transition"', b'"old":"ERROR"')
+
+
+def test_a_unit_whose_recovery_has_no_line_is_ok_from_the_next_report_on(tmp_path: Path) -> None:
+    """Else one lost line would leave it in ERROR until the end of the record. What is lost is named."""
+    made = Flown(tmp_path)
+    made.until(30)
+    made.fail(UNIT)
+    made.until(300)
+    without(made.close(), *RECOVERED)
+    document = report(tmp_path)
+    (agent,) = document["agents"]
+    assert [[round(begin - T0), round(end - T0), level] for begin, end, level in agent["units"][UNIT]] == [
+        [0, 30, "OK"],
+        [30, 54, "ERROR"],
+        [54, 294, "OK"],
+    ]
+    assert (agent["error_s"], agent["missing_lines"]) == (24.0, 1)
+    assert ("agent_1", "lines that are missing in the logs", "1") in table_rows.cut(document)
+
+
+def test_a_failure_without_a_line_counts_from_the_next_report_on(tmp_path: Path) -> None:
+    made = Flown(tmp_path)
+    made.until(30)
+    made.fail(UNIT, lasts=None)
+    made.until(300)
+    without(made.close(), b'"event":"transition"', b'"level":"ERROR"')
+    assert report(tmp_path)["agents"][0]["error_s"] == 240.0
+
+
+def test_reports_that_say_what_the_changes_said_change_nothing(tmp_path: Path) -> None:
+    """Rotated files begin with a report, in which each level is new to the reader."""
+    made = Flown(tmp_path / "whole")
+    made.until(30)
+    made.fail(UNIT)
+    made.until(300)
+    path = made.close()
+    whole = report(path)["agents"]
+    lines = path.read_bytes().splitlines(keepends=True)
+    for half, some in enumerate((lines[: len(lines) // 2], lines[len(lines) // 2 :])):
+        (tmp_path / f"half{half}.jsonl").write_bytes(b"".join(some))
+    assert report(tmp_path / "half1.jsonl", tmp_path / "half0.jsonl")["agents"] == whole
+
+
+@pytest.mark.parametrize("lost", [[b'"fault_closed"'], [b'"fault_closed"', RECOVERED]], ids=["end", "both"])
+def test_a_fault_whose_end_has_no_line_ends_when_its_unit_is_ok(tmp_path: Path, lost: list[Any]) -> None:
+    made = Flown(tmp_path)
+    made.until(30)
+    made.fail(UNIT)
+    made.until(60)
+    made.fail("nodes/node_1", lasts=None)
+    made.until(300)
+    path = made.close()
+    for words in lost:
+        without(path, *([words] if isinstance(words, bytes) else words))
+    ended, still = report(tmp_path)["faults"]
+    assert (ended["outcome"], ended["lasted_s"]) == ("unknown", 4.0 if len(lost) == 1 else 24.0)
+    assert (still["outcome"], still["closed"]) == ("open", None)
 
 
 def unknown(*paths: Path) -> list[tuple[float, float]]:

@@ -93,4 +93,5 @@ def custom_needs_are_units(root: ConfigNode, units: Iterable[str]) -> None:
                 need.add_problem(f"is {shown(own)}, the check itself: remove it")
             elif need.text not in known:
                 same = [unit for unit in known if unit.startswith(f"{need.text.partition('/')[0]}/")]
-                need.add_problem(unknown("unit", need.text, same or known) + " (`phm checks --graph` lists them)")
+                hint = " (without this need, `phm checks --graph` lists them)"
+                need.add_problem(unknown("unit", need.text, same or known) + hint)

@@ -307,6 +307,9 @@ def test_a_token_file_that_others_can_read_is_refused(tmp_path: Path) -> None:
         (("--web", "127.0.0.1:0", "--token-file", "/none"), "--token-file /none: No such file"),
         (("--token-file", "{tokens}"), "needs --web or --serve"),
         (("--history", "x"), "needs --web"),
+        (("--web", "udpin:127.0.0.1:14551"), "write it before --web: phm gcs udpin:127.0.0.1:14551 --web 8080"),
+        (("--web", "/dev/ttyUSB0"), "write it before --web: phm gcs /dev/ttyUSB0 --web 8080"),
+        (("--serve", "tcp:10.0.0.5:5760"), "write it before --serve: phm gcs tcp:10.0.0.5:5760 --serve 8080"),
     ],
 )
 def test_unsafe_options_are_refused_before_the_start(tmp_path: Path, arguments: tuple[str, ...], words: str) -> None:
