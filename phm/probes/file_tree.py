@@ -12,7 +12,7 @@ import os
 import stat
 import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
@@ -65,27 +65,35 @@ class TreeReader:
         """Why the last walk failed, or empty."""
         self._next_s = float("-inf")
 
-    def read(self, folder: int, ignore: Sequence[str], *, fresh: bool = False) -> TreeListing:
+    def read(
+        self,
+        folder: int,
+        ignore: Sequence[str],
+        mounts: Mapping[str, int | None] | None = None,
+        *,
+        fresh: bool = False,
+    ) -> TreeListing:
         """folder: its descriptor, which may be O_PATH. fresh: walk now, whatever it costs.
 
-        Raises CannotTell if the folder has too many files, is too slow or cannot be read, or if another thread is still
-        reading it after BUSY_S.
+        mounts: descriptors of what is read in place of these relative paths, because it is mounted there; None if PHM
+        does not see it. Raises CannotTell if the folder has one of those, has too many files, is too slow or cannot be
+        read, or if another thread is still reading it after BUSY_S.
         """
         if not self._lock.acquire(timeout=BUSY_S):
             raise CannotTell("an earlier run is still reading it: check that its disk or network volume answers")
         try:
             if fresh or self._clock.mono() >= self._next_s:
-                self._scan(folder, ignore)
+                self._scan(folder, ignore, mounts or {})
             if self._problem:
                 raise CannotTell(self._problem)
             return self._listing
         finally:
             self._lock.release()
 
-    def _scan(self, folder: int, ignore: Sequence[str]) -> None:
+    def _scan(self, folder: int, ignore: Sequence[str], mounts: Mapping[str, int | None]) -> None:
         """A failure is remembered like a listing: a walk that fails costs as much as one that does not."""
         began_s = self._clock.mono()
-        walk = _Walk(self._clock, ignore, self._known, self._waiting)
+        walk = _Walk(self._clock, ignore, mounts, self._known, self._waiting)
         self._problem = "the previous run did not finish reading it"
         try:
             walk.run(folder)
@@ -116,9 +124,14 @@ class _Walk:
     """
 
     def __init__(
-        self, clock: Clock, ignore: Sequence[str], known: dict[str, tuple[Stamp, str]], waiting: Sequence[str]
+        self,
+        clock: Clock,
+        ignore: Sequence[str],
+        mounts: Mapping[str, int | None],
+        known: dict[str, tuple[Stamp, str]],
+        waiting: Sequence[str],
     ) -> None:
-        self._clock, self._ignore, self._known = clock, tuple(ignore), known
+        self._clock, self._ignore, self._mounts, self._known = clock, tuple(ignore), mounts, known
         self._began_s = clock.mono()
         self._entries, self._bytes = 0, 0
         self._changed: set[str] = set()
@@ -163,11 +176,11 @@ class _Walk:
         return sorted(names)
 
     def _entry(self, number: int, name: str, path: str, depth: int) -> None:
-        info = os.stat(name, dir_fd=number, follow_symlinks=False)
+        info = self._status(number, name, path)
         if stat.S_ISDIR(info.st_mode):
             if depth >= MAX_DEPTH:
                 raise CannotTell(f"{path[:80]}... is more than {MAX_DEPTH} folders deep")
-            with closing(_Descriptor(os.open(name, _FOLDER, dir_fd=number))) as below:
+            with closing(self._open(number, name, path, _FOLDER)) as below:
                 self._folder(below.number, path, depth + 1)
         elif stat.S_ISLNK(info.st_mode):
             target = os.fsencode(os.readlink(name, dir_fd=number))
@@ -176,6 +189,22 @@ class _Walk:
             self._file(path, info)
         if len(self.listing.sums) + len(self._changed) > MAX_FILES:
             raise CannotTell(f"it has more than {MAX_FILES} files: choose a folder below it, or add `ignore`")
+
+    def _status(self, number: int, name: str, path: str) -> os.stat_result:
+        if path not in self._mounts:
+            return os.stat(name, dir_fd=number, follow_symlinks=False)
+        mounted = self._mounts[path]
+        if mounted is None:
+            raise CannotTell(
+                f"another mount covers {path} in it, which PHM does not see: mount that for PHM, too, or add it to `ignore`"
+            )
+        return os.fstat(mounted)
+
+    def _open(self, number: int, name: str, path: str, flags: int) -> _Descriptor:
+        mounted = self._mounts.get(path)
+        if mounted is None:
+            return _Descriptor(os.open(name, flags, dir_fd=number))
+        return _Descriptor(os.open(f"/proc/self/fd/{mounted}", flags & ~os.O_NOFOLLOW))
 
     def _file(self, path: str, info: os.stat_result) -> None:
         known = self._known.get(path)
@@ -207,11 +236,12 @@ class _Walk:
         *folders, name = path.split("/")
         try:
             with ExitStack() as opened:
-                number = top
+                number, place = top, ""
                 for folder in folders:
-                    below = _Descriptor(os.open(folder, _FOLDER, dir_fd=number))
+                    place = f"{place}/{folder}" if place else folder
+                    below = self._open(number, folder, place, _FOLDER)
                     number = opened.enter_context(closing(below)).number
-                file = opened.enter_context(closing(_Descriptor(os.open(name, _FILE, dir_fd=number))))
+                file = opened.enter_context(closing(self._open(number, name, path, _FILE)))
                 self._read(file.number, path)
         except FileNotFoundError:
             return  # removed meanwhile

@@ -10,7 +10,8 @@ import os
 import stat
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from contextlib import ExitStack
 from typing import Any, Final
 
 from phm.core.clock import Clock
@@ -21,7 +22,7 @@ from phm.probes.file_stamp import settled, stamp
 from phm.probes.file_tree import TreeListing, TreeReader
 from phm.probes.inotify import FileWatcher
 from phm.probes.tree_comparison import Manifests, compare
-from phm.probes.volume_path import MAX_LINKS, OutsideVolumes, SeenAt, join, normal, resolve
+from phm.probes.volume_path import MAX_LINKS, OutsideVolumes, SeenAt, join, normal, real_path, resolve
 from phm.transport.docker import DockerEngine, EngineMissing
 
 MAX_BYTES = 1 << 30
@@ -115,8 +116,9 @@ class Files:
             raise CannotTell(f"the container {container} does not exist")
         self._last[container] = (fact, me)
         roots = self._roots(fact, me)
+        mounts = {normal(mount.destination): roots.get(mount.destination) for mount in fact.mounts}
         try:
-            number = resolve(path, {mount.destination: roots.get(mount.destination) for mount in fact.mounts})
+            number = resolve(path, mounts)
         except OutsideVolumes:
             raise CannotTell(
                 f"{path} is not in a volume that PHM sees: mount that volume or host folder for PHM, too, or list single files"
@@ -129,7 +131,8 @@ class Files:
             with self._trees_lock:
                 reader = self._trees.setdefault((container, path, tuple(ignore)), TreeReader(self._clock))
             # Without the lock: a volume that hangs delays only the looks at its own folders.
-            return reader.read(number, ignore, fresh=fresh)
+            with ExitStack() as opened:
+                return reader.read(number, ignore, _mounts_below(path, mounts, opened), fresh=fresh)
         except OSError as error:
             raise CannotTell(f"{path} cannot be read: {error.strerror}") from None
         finally:
@@ -275,6 +278,25 @@ class Files:
 
 def _too_large(path: str, size: int) -> CannotTell:
     return CannotTell(f"{path} is too large to be read: {size >> 20} MiB or more")
+
+
+def _mounts_below(path: str, mounts: Mapping[str, SeenAt | None], opened: ExitStack) -> dict[str, int | None]:
+    """What is mounted in the folder `path`: by relative path, its descriptor in `opened`, or None if PHM does not see it."""
+    top = real_path(path, mounts).rstrip("/") + "/"
+    below: dict[str, int | None] = {}
+    for destination, seen in mounts.items():
+        # Docker follows links on the way when it mounts.
+        place = real_path(destination, {other: at for other, at in mounts.items() if other != destination})
+        if not place.startswith(top):
+            continue
+        try:
+            number = resolve(destination, {destination: seen})
+        except OutsideVolumes:
+            number = None
+        if number is not None:
+            opened.callback(os.close, number)
+        below[place.removeprefix(top)] = number
+    return below
 
 
 def _my_view(mount: Mount, mine: tuple[Mount, ...]) -> SeenAt | None:
