@@ -97,7 +97,9 @@ class TreeReader:
         self._problem = "the previous run did not finish reading it"
         try:
             walk.run(folder)
-            self._known, self._waiting, self._listing, self._problem = walk.found, walk.waiting, walk.listing, ""
+            self._known, self._waiting, self._problem = walk.found, walk.waiting, ""
+            if walk.listing != self._listing:  # otherwise the same object, with which nothing must be compared again
+                self._listing = walk.listing
         except CannotTell as reason:
             self._problem = str(reason)
         except OSError as error:

@@ -21,7 +21,7 @@ from phm.probes.docker_facts import TimeBudget
 from phm.probes.file_stamp import settled, stamp
 from phm.probes.file_tree import TreeListing, TreeReader
 from phm.probes.inotify import FileWatcher
-from phm.probes.tree_comparison import Manifests, compare
+from phm.probes.tree_comparison import Comparison, Manifests
 from phm.probes.volume_path import MAX_LINKS, OutsideVolumes, SeenAt, join, normal, real_path, resolve
 from phm.transport.docker import DockerEngine, EngineMissing
 
@@ -65,6 +65,7 @@ class Files:
         self._trees: dict[tuple[str, str, tuple[str, ...]], TreeReader] = {}
         self._trees_lock = threading.Lock()
         self._manifests = Manifests()
+        self._comparisons: dict[tuple[str, str, str, tuple[str, ...]], Comparison] = {}
 
     def inspect(self, container: str, path: str, *, digest: bool) -> FileFact | None:
         """Raises CannotTell if the container does not exist, or the file is too large or too slow to read."""
@@ -98,7 +99,12 @@ class Files:
         """See `phm.facts.FileProbe`."""
         expected = self._manifests.read(manifest)
         found = self.listing(container, path, ignore)
-        return None if found is None else compare(expected, found, ignore)
+        if found is None:
+            return None
+        with self._trees_lock:
+            key = container, path, manifest, tuple(ignore)
+            comparison = self._comparisons.setdefault(key, Comparison(key[-1]))
+        return comparison.of(expected, found)
 
     def listing(self, container: str, path: str, ignore: Sequence[str], *, fresh: bool = False) -> TreeListing | None:
         """The files of a folder of the container, with the checksums that could be calculated in this scan.

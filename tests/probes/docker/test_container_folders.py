@@ -1,4 +1,4 @@
-"""Folders with other mounts in them: a container sees these, and not what the volume has at that place."""
+"""Folders of containers with manifests. Of what is mounted into them, a container does not see what it covers."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from phm.facts import CannotTell, Mount
+from phm.probes import file_stamp, tree_comparison
 from phm.probes.files import Files
 from phm.testing import FakeClock, FakeDocker, container as fact, settings
 from phm.transport.docker import DockerEngine
@@ -111,3 +112,29 @@ def test_descriptors_of_mounts_are_closed(tmp_path: Path) -> None:
     before = len(os.listdir("/proc/self/fd"))
     app.listing("app", "/ws", (), fresh=True)
     assert len(os.listdir("/proc/self/fd")) == before
+
+
+def test_a_folder_is_compared_again_only_after_a_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the folder or of the manifest. The patterns are compared with the names of a manifest once."""
+    monkeypatch.setattr(file_stamp, "COARSEST_S", 0.0)  # each file counts as one that was written long ago
+    calls: list[str] = []
+    for name in ("compare", "_ignored"):
+        real = getattr(tree_comparison, name)
+        monkeypatch.setattr(tree_comparison, name, lambda *of, name=name, real=real: (calls.append(name), real(*of))[1])
+    own = write(tmp_path / "ws/own", "own")
+    expected = tmp_path / "ws.sha256"
+    expected.write_bytes(manifest.encode({"own": total("own")}))
+    app = files(bind(tmp_path / "ws", "/ws"))
+
+    def look() -> tuple[list[str], int]:
+        calls.clear()
+        compared = app.tree("app", "/ws", manifest=str(expected), ignore=("*.pyc",))
+        assert compared is not None
+        return calls, compared.differing
+
+    assert look() == (["_ignored", "compare"], 0)
+    assert look() == ([], 0)
+    own.write_text("altered")
+    assert look() == (["compare"], 1)
+    expected.write_bytes(manifest.encode({"own": total("altered")}))
+    assert look() == (["_ignored", "compare"], 0)
