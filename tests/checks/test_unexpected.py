@@ -120,6 +120,20 @@ def test_an_ignored_device_may_be_named_by_its_link() -> None:
     assert result.brief == "/dev/ttyUSB2 unexpected"
 
 
+def test_devices_that_are_ignored_do_not_hide_another() -> None:
+    """However many there are, and whatever its name is."""
+    result = devices(
+        host(*(f"/dev/video{number}" for number in range(150)), "/dev/videos"), ignore=["/dev/video*[0-9]"]
+    )
+    assert result.brief == "/dev/videos unexpected"
+
+
+def test_more_unexpected_devices_than_phm_looks_for_are_not_counted() -> None:
+    """The text says that there may be more."""
+    result = devices(host(*(f"/dev/video{number}" for number in range(150))))
+    assert result.brief == "100+ devices unexpected" and "and 95 more at least" in result.summary
+
+
 def test_the_checks_are_woken_by_events_of_unconfigured_things() -> None:
     """Their period is only for events that were lost."""
     chosen = testing.settings(
