@@ -31,7 +31,7 @@ SCAN_S = 1.5
 WALK_S = 10.0
 """For finding the files, without reading them."""
 FILE_S = 10.0
-"""Deadline for reading one file."""
+"""For reading one file; the rest of a large one follows in the next scans."""
 BUSY_S = 5.0
 """This long a scan waits for another one at the same folder. Well below the deadline of the check."""
 SHARE = 20
@@ -50,6 +50,17 @@ class TreeListing:
     unreadable: set[str] = field(default_factory=set)
     size: int = 0
     """Bytes of all files together."""
+    part: int = 0
+    """Bytes that were read of files that are pending."""
+
+
+@dataclass(slots=True)
+class _Part:
+    """What was read of a large file."""
+
+    key: Stamp
+    size: int = 0
+    total: hashlib._Hash = field(default_factory=hashlib.sha256)
 
 
 class TreeReader:
@@ -59,6 +70,7 @@ class TreeReader:
         self._clock = clock
         self._lock = threading.Lock()
         self._known: dict[str, tuple[Stamp, str]] = {}
+        self._parts: dict[str, _Part] = {}
         self._waiting: tuple[str, ...] = ()
         self._listing = TreeListing()
         self._problem = ""
@@ -93,11 +105,11 @@ class TreeReader:
     def _scan(self, folder: int, ignore: Sequence[str], mounts: Mapping[str, int | None]) -> None:
         """A failure is remembered like a listing: a walk that fails costs as much as one that does not."""
         began_s = self._clock.mono()
-        walk = _Walk(self._clock, ignore, mounts, self._known, self._waiting)
+        walk = _Walk(self._clock, ignore, mounts, self._known, self._parts, self._waiting)
         self._problem = "the previous run did not finish reading it"
         try:
             walk.run(folder)
-            self._known, self._waiting, self._problem = walk.found, walk.waiting, ""
+            self._known, self._parts, self._waiting, self._problem = walk.found, walk.parts, walk.waiting, ""
             if walk.listing != self._listing:  # otherwise the same object, with which nothing must be compared again
                 self._listing = walk.listing
         except CannotTell as reason:
@@ -131,14 +143,17 @@ class _Walk:
         ignore: Sequence[str],
         mounts: Mapping[str, int | None],
         known: dict[str, tuple[Stamp, str]],
+        parts: dict[str, _Part],
         waiting: Sequence[str],
     ) -> None:
-        self._clock, self._ignore, self._mounts, self._known = clock, tuple(ignore), mounts, known
+        self._clock, self._ignore, self._mounts = clock, tuple(ignore), mounts
+        self._known, self._parts = known, parts
         self._began_s = clock.mono()
         self._entries, self._bytes = 0, 0
         self._changed: set[str] = set()
         self.waiting = tuple(waiting)
         self.found: dict[str, tuple[Stamp, str]] = {}
+        self.parts: dict[str, _Part] = {}
         self.listing = TreeListing()
 
     def run(self, folder: int) -> None:
@@ -232,6 +247,8 @@ class _Walk:
             self._try(top, queue.popleft())
         self.waiting = tuple(queue)
         self.listing.pending.update(queue)
+        self.parts.update({path: self._parts[path] for path in queue if path in self._parts})
+        self.listing.part = sum(part.size for part in self.parts.values())
 
     def _try(self, top: int, path: str) -> None:
         """Open each folder on the way again without following links: it may have been replaced since it was listed."""
@@ -252,21 +269,28 @@ class _Walk:
 
     def _read(self, number: int, path: str) -> None:
         before = os.fstat(number)
-        lasts = settled(before)
+        key, lasts = stamp(before), settled(before)
         if not stat.S_ISREG(before.st_mode):
             return  # replaced meanwhile
-        total, until_s = hashlib.sha256(), self._clock.mono() + FILE_S
+        part, until_s = self._parts.get(path), self._clock.mono() + FILE_S
+        if part is None or part.key != key:
+            part = _Part(key)
+        os.lseek(number, part.size, os.SEEK_SET)
         while piece := os.read(number, _PIECE):
-            total.update(piece)
+            part.total.update(piece)
+            part.size += len(piece)
             self._bytes += len(piece)
-            if self._clock.mono() > until_s:
-                raise OSError(f"{path} is too slow to read")
-        if stamp(os.fstat(number)) != stamp(before):
+            if self._clock.mono() > until_s and part.size < before.st_size:
+                self.listing.pending.add(path)
+                if lasts:
+                    self.parts[path] = part
+                return
+        if stamp(os.fstat(number)) != key:
             self.listing.pending.add(path)  # written to while it was read
         elif lasts:
-            self._add(path, stamp(before), total.hexdigest())
+            self._add(path, key, part.total.hexdigest())
         else:
-            self.listing.sums[path] = total.hexdigest()
+            self.listing.sums[path] = part.total.hexdigest()
 
     def _add(self, path: str, key: Stamp, total: str) -> None:
         self.listing.sums[path] = total

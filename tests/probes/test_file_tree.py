@@ -242,14 +242,40 @@ def test_a_walk_that_failed_is_not_repeated_at_once(folder: Folder, monkeypatch:
     assert reads == ["a", "b", "c"]
 
 
-def test_a_file_that_is_too_slow_does_not_hide_the_others(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is unknown; the folder is not."""
+@pytest.fixture
+def slow(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> Folder:
+    """The folder with two files and a large one, of which two bytes are read in one scan."""
+    monkeypatch.setattr(file_tree, "_PIECE", 2)
     for name in "abc":
         folder.write(name)
-    slow_files(monkeypatch, folder.clock, {"a": 11.0})
-    first, second = folder.read(), folder.read()
-    assert first.unreadable == {"a"} and first.pending == {"b", "c"}
-    assert set(second.sums) == {"b", "c"}
+    slow_files(monkeypatch, folder.clock, {"a": file_tree.FILE_S + 1.0})
+    return folder
+
+
+@pytest.mark.usefixtures("old")
+def test_a_large_file_is_read_in_several_scans(slow: Folder) -> None:
+    """Without hiding the others: those are read first in the next one."""
+    first, second = slow.read(), slow.read()
+    assert (first.pending, first.unreadable, first.part) == ({"a", "b", "c"}, set(), 2)
+    assert second.sums == dict.fromkeys("abc", total()) and not second.pending
+
+
+@pytest.mark.usefixtures("old")
+def test_a_large_file_that_changed_is_read_from_its_beginning(slow: Folder) -> None:
+    """Also if it changed between two scans, of which each reads a part of it."""
+    slow.read()
+    slow.write("a", "other")
+    listings = [slow.read() for _ in range(3)]
+    assert [listing.part for listing in listings] == [2, 4, 0]
+    assert listings[-1].sums["a"] == total("other")
+
+
+def test_a_large_file_that_was_written_just_now_is_read_from_its_beginning(
+    slow: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A change between the scans would not be visible in its times."""
+    monkeypatch.setattr(file_stamp, "COARSEST_S", 1e12)
+    assert [slow.read().pending >= {"a"} for _ in range(3)] == [True, True, True]
 
 
 @pytest.mark.usefixtures("old")
