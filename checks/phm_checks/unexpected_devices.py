@@ -24,6 +24,7 @@ class UnexpectedDevices(api.Check):
         self._wanted = settings.host.unexpected_devices
         used = [device.path for entry in settings.containers for device in entry.devices]
         used += [entry.url for entry in settings.mavlink.endpoints if entry.serial]
+        used += [entry.device for entry in settings.custom if entry.type == "serial"]
         self._configured = list(dict.fromkeys(used))
 
     @classmethod

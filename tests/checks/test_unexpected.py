@@ -28,6 +28,7 @@ def devices(host: testing.FakeDevices, **wanted: Any) -> api.Result:
     chosen = testing.settings(
         containers=[{"name": "ros_app", "devices": [{"path": "/dev/serial/by-id/pixhawk"}]}],
         mavlink={"endpoints": [{"url": "/dev/ttyUSB0"}]},
+        custom=[{"name": "gps", "type": "serial", "device": "/dev/serial/by-id/gps"}],
         host={"unexpected_devices": {"level": "warn", **wanted}},
     )
     (check,) = UnexpectedDevices.build(chosen)
@@ -38,8 +39,9 @@ def devices(host: testing.FakeDevices, **wanted: Any) -> api.Result:
 
 def host(*paths: str) -> testing.FakeDevices:
     made = testing.FakeDevices()
-    for path in ("/dev/ttyACM0", "/dev/ttyUSB0", *paths):
+    for path in ("/dev/ttyACM0", "/dev/ttyACM1", "/dev/ttyUSB0", *paths):
         made.put(path)
+    made.devices["/dev/serial/by-id/gps"] = made.devices["/dev/ttyACM1"]
     made.devices["/dev/serial/by-id/pixhawk"] = made.devices["/dev/ttyACM0"]
     return made
 
@@ -95,7 +97,7 @@ def test_an_engine_that_is_down_is_an_alarm_without_configured_containers() -> N
 
 
 def test_configured_devices_are_expected() -> None:
-    """Those of containers, also behind a link, and the serial ports of MAVLink."""
+    """Those of containers, also behind a link, and the serial ports of MAVLink and of custom checks."""
     assert devices(host()).level is api.Level.OK
 
 
