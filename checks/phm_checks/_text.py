@@ -5,7 +5,7 @@ Not a check: files in this folder whose names start with an underscore are parts
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from phm import api
 
@@ -20,6 +20,12 @@ def clean(text: str, most: int = 200) -> str:
     """External text as one printable line of at most `most` characters."""
     line = " ".join("".join(char if char.isprintable() else " " for char in text[: most * 4]).split())
     return line if len(line) <= most else f"{line[: most - 3]}..."
+
+
+def ending(text: str, most: int = 200) -> str:
+    """As `clean`, but the start is cut off: the ends of paths differ more."""
+    line = clean(text[-most * 4 :], most * 4)
+    return line if len(line) <= most else f"...{line[3 - most :]}"
 
 
 def brief(subject: str, words: str = "") -> str:
@@ -57,9 +63,9 @@ def last(name: str) -> str:
     return name.rstrip("/").rpartition("/")[2] or name
 
 
-def listed(names: Iterable[str], most: int = 5) -> str:
-    """`a, b, c and 4 more`; `none` if there are none. An empty name becomes `(unnamed)`."""
-    every = [clean(name, 80) or UNNAMED for name in names]
+def listed(names: Iterable[str], most: int = 5, *, cut: Callable[[str, int], str] = clean) -> str:
+    """`a, b, c and 4 more`; `none` if there are none. An empty name becomes `(unnamed)`. cut: `clean` or `ending`."""
+    every = [cut(name, 80) or UNNAMED for name in names]
     if not every:
         return "none"
     shown = ", ".join(every[:most])

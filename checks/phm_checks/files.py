@@ -8,7 +8,7 @@ from dataclasses import replace
 from phm import api
 from phm.api import Slot
 from phm_checks._per_container import PerContainer
-from phm_checks._text import brief, clean, combined, joined, last, listed
+from phm_checks._text import brief, clean, combined, ending, joined, last, listed
 
 SETTLE_S = 0.2
 """Programs that replace a file often remove the old one first; the check runs on each change in a volume."""
@@ -48,7 +48,7 @@ class Files(PerContainer):
             "files_bad": sum(finding.level.bad for finding in findings),
         }
         if first.level is api.Level.OK:
-            paths = listed(wanted.path for wanted in self.entry.files)
+            paths = listed((wanted.path for wanted in self.entry.files), cut=ending)
             return api.ok(f"File check passed: {paths}", values=values)
         summary = joined([finding.summary for finding in findings if finding.level is not api.Level.OK])
         return replace(first, summary=summary, brief=combined(findings), values=values)
@@ -82,7 +82,7 @@ class Files(PerContainer):
             return self._absent(wanted, where)
         if tree.differing:
             kinds = (("changed", tree.changed), ("missing", tree.missing), ("new", tree.new))
-            found = "; ".join(f"{kind}: {listed(paths, 8)}" for kind, paths in kinds if paths)
+            found = "; ".join(f"{kind}: {listed(paths, 8, cut=ending)}" for kind, paths in kinds if paths)
             count = "1 file differs" if tree.differing == 1 else f"{tree.differing} files differ"
             words = (
                 f"{where} differs from its manifest {last(manifest)}: {count}: {found}. Restore them, or update the manifest "
@@ -96,7 +96,9 @@ class Files(PerContainer):
                 f"{where} is being read: {tree.files - tree.pending} of {tree.files} files so far are as expected"
             )
         if tree.unreadable:
-            return api.stale(f"{where} cannot be checked completely: PHM cannot read {listed(tree.unreadable)}")
+            return api.stale(
+                f"{where} cannot be checked completely: PHM cannot read {listed(tree.unreadable, cut=ending)}"
+            )
         return api.ok(f"{where} has all {tree.files} files of its manifest, unaltered")
 
     def _absent(self, wanted: api.FileSettings, where: str) -> api.Result:

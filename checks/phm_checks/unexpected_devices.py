@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from glob import escape
 
 from phm import api
 from phm.api import Slot
-from phm_checks._unexpected import matches, unexpected
+from phm_checks._unexpected import unexpected
 
 SETTLE_S = 1.0
 """udev renames devices and changes links within a moment."""
@@ -23,6 +24,7 @@ class UnexpectedDevices(api.Check):
         self._wanted = settings.host.unexpected_devices
         used = [device.path for entry in settings.containers for device in entry.devices]
         used += [entry.url for entry in settings.mavlink.endpoints if entry.serial]
+        used += [entry.device for entry in settings.custom if entry.type == "serial"]
         self._configured = list(dict.fromkeys(used))
 
     @classmethod
@@ -38,14 +40,8 @@ class UnexpectedDevices(api.Check):
         return frozenset({"other_device"})
 
     def run(self, world: api.World) -> api.Result:
-        expected = self._real_paths(world)
-        found = [
-            fact
-            for fact in world.devices.matching(self._wanted.watch)
-            if fact.path not in expected and not matches(fact.path, self._wanted.ignore)
-        ]
-        ignored = self._ignored(world) if found else set()
-        found = [fact for fact in found if fact.path not in ignored]
+        expected = [escape(path) for path in sorted(self._real_paths(world))]
+        found = world.devices.matching(self._wanted.watch, without=[*expected, *self._wanted.ignore])
         return unexpected(
             [(fact.path, fact.description) for fact in found],
             level=self._wanted.level,
@@ -53,11 +49,8 @@ class UnexpectedDevices(api.Check):
             does="exists",
             condition="device_unexpected",
             remedy="unplug them, or add them to `containers[].devices` or host.unexpected_devices.ignore",
+            most=api.DeviceFact.MAX_MATCHES,
         )
-
-    def _ignored(self, world: api.World) -> set[str]:
-        """Paths of the devices behind links that match `ignore`."""
-        return {fact.path for pattern in self._wanted.ignore for fact in world.devices.matching([pattern])}
 
     def _real_paths(self, world: api.World) -> set[str]:
         """Paths of the configured devices, also those behind links such as /dev/serial/by-id/..."""

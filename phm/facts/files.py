@@ -77,8 +77,7 @@ class DeviceFact:
     block: bool = False
     """A block device, such as a USB stick."""
 
-
-MAX_MATCHES = 100
+    MAX_MATCHES: ClassVar[int] = 100
 
 
 class DeviceProbe(Protocol):
@@ -91,10 +90,11 @@ class DeviceProbe(Protocol):
         DTR, which resets some autopilots and radios.
         """
 
-    def matching(self, patterns: Sequence[str]) -> tuple[DeviceFact, ...]:
+    def matching(self, patterns: Sequence[str], *, without: Sequence[str] = ()) -> tuple[DeviceFact, ...]:
         """Return the character and block devices that exist, by patterns of their paths with `*` and `?` in the last part.
 
-        Sorted, each once, links followed, at most MAX_MATCHES.
+        Sorted, each once, links followed, at most DeviceFact.MAX_MATCHES. without: patterns of devices that are left out
+        and do not count, links followed as well.
         """
 
     def serial_ports(self) -> tuple[DeviceFact, ...]:

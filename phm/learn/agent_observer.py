@@ -241,7 +241,7 @@ class AgentObserver:
 
     def _complete(self, files: Files, key: str, path: str) -> TreeListing:
         """With the checksums of all files but those that do not stay the same for long enough to be read."""
-        pause, least, since_s = threading.Event(), -1, self.clock.mono()
+        pause, least, since_s = threading.Event(), (-1, 0), self.clock.mono()
         while True:
             try:
                 listing = files.listing(key, path, IGNORED, fresh=True)
@@ -249,8 +249,9 @@ class AgentObserver:
                 raise ObservationFailed(f"--files {key}:{path}: {reason}") from None
             if listing is None:
                 raise ObservationFailed(f"--files {key}:{path}: the folder does not exist")
-            if len(listing.sums) > least:
-                least, since_s = len(listing.sums), self.clock.mono()
+            done = len(listing.sums), listing.part
+            if done > least:
+                least, since_s = done, self.clock.mono()
             if not listing.pending or self.clock.mono() - since_s > NO_PROGRESS_S:
                 return listing
             self.clock.wait(pause, _TURN_S)

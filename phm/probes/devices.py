@@ -19,7 +19,6 @@ from serial.tools.list_ports_linux import SysFS
 from phm.core.clock import Clock
 from phm.core.settings import HostSettings
 from phm.facts import CannotTell, DeviceFact
-from phm.facts.files import MAX_MATCHES
 from phm.probes.blocking_call import BlockingCallWorker
 from phm.probes.inotify import FileWatcher
 
@@ -81,8 +80,8 @@ class Devices:
     def serial_ports(self) -> tuple[DeviceFact, ...]:
         return self._worker.call(self._serial_ports, INSPECT_S)
 
-    def matching(self, patterns: Sequence[str]) -> tuple[DeviceFact, ...]:
-        return self._worker.call(lambda: self._matching(patterns), INSPECT_S)
+    def matching(self, patterns: Sequence[str], *, without: Sequence[str] = ()) -> tuple[DeviceFact, ...]:
+        return self._worker.call(lambda: self._matching(patterns, without), INSPECT_S)
 
     def place(self, path: str) -> Path:
         """Where PHM finds the device at the host's `path`, links followed as on the host. Raises FileNotFoundError."""
@@ -91,22 +90,27 @@ class Devices:
             raise FileNotFoundError(errno.ENOENT, "it does not exist", path)
         return self._place(real)
 
-    def _matching(self, patterns: Sequence[str]) -> tuple[DeviceFact, ...]:
+    def _matching(self, patterns: Sequence[str], without: Sequence[str]) -> tuple[DeviceFact, ...]:
         self._check_root()
-        fresh = [self._watch_folders(PurePosixPath(pattern)) for pattern in patterns]
+        fresh = [self._watch_folders(PurePosixPath(pattern)) for pattern in (*patterns, *without)]
         if any(fresh):
             self._matching_changed()  # it may have changed between the start of the watch and an earlier inspection
-        found: dict[str, DeviceFact] = {}
+        found: list[DeviceFact] = []
+        for path in sorted(self._real_paths(patterns) - self._real_paths(without)):
+            fact = self._inspect(path, open_it=False)
+            if fact is not None and (fact.character or fact.block):
+                found.append(fact)
+            if len(found) == DeviceFact.MAX_MATCHES:
+                break
+        return tuple(found)
+
+    def _real_paths(self, patterns: Sequence[str]) -> set[str]:
+        """Host paths of what matches, links followed."""
+        found: set[PurePosixPath | None] = set()
         for pattern in map(PurePosixPath, patterns):
-            for name in sorted(_names(self._place(pattern.parent))):
-                fact = (
-                    self._inspect(str(pattern.parent / name), open_it=False)
-                    if fnmatchcase(name, pattern.name)
-                    else None
-                )
-                if fact is not None and (fact.character or fact.block) and len(found) < MAX_MATCHES:
-                    found[fact.path] = fact
-        return tuple(found[path] for path in sorted(found))
+            names = _names(self._place(pattern.parent))
+            found |= {self._resolve(pattern.parent / name, []) for name in names if fnmatchcase(name, pattern.name)}
+        return {str(path) for path in found if path is not None}
 
     def _watch_folders(self, pattern: PurePosixPath) -> bool:
         """Watch the pattern in its folder, and each folder on the path to it. True if something was not watched before."""

@@ -12,7 +12,7 @@ import os
 import stat
 import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
@@ -31,7 +31,7 @@ SCAN_S = 1.5
 WALK_S = 10.0
 """For finding the files, without reading them."""
 FILE_S = 10.0
-"""Deadline for reading one file."""
+"""For reading one file; the rest of a large one follows in the next scans."""
 BUSY_S = 5.0
 """This long a scan waits for another one at the same folder. Well below the deadline of the check."""
 SHARE = 20
@@ -50,6 +50,17 @@ class TreeListing:
     unreadable: set[str] = field(default_factory=set)
     size: int = 0
     """Bytes of all files together."""
+    part: int = 0
+    """Bytes that were read of files that are pending."""
+
+
+@dataclass(slots=True)
+class _Part:
+    """What was read of a large file."""
+
+    key: Stamp
+    size: int = 0
+    total: hashlib._Hash = field(default_factory=hashlib.sha256)
 
 
 class TreeReader:
@@ -59,37 +70,48 @@ class TreeReader:
         self._clock = clock
         self._lock = threading.Lock()
         self._known: dict[str, tuple[Stamp, str]] = {}
+        self._parts: dict[str, _Part] = {}
         self._waiting: tuple[str, ...] = ()
         self._listing = TreeListing()
         self._problem = ""
         """Why the last walk failed, or empty."""
         self._next_s = float("-inf")
 
-    def read(self, folder: int, ignore: Sequence[str], *, fresh: bool = False) -> TreeListing:
+    def read(
+        self,
+        folder: int,
+        ignore: Sequence[str],
+        mounts: Mapping[str, int | None] | None = None,
+        *,
+        fresh: bool = False,
+    ) -> TreeListing:
         """folder: its descriptor, which may be O_PATH. fresh: walk now, whatever it costs.
 
-        Raises CannotTell if the folder has too many files, is too slow or cannot be read, or if another thread is still
-        reading it after BUSY_S.
+        mounts: descriptors of what is read in place of these relative paths, because it is mounted there; None if PHM
+        does not see it. Raises CannotTell if the folder has one of those, has too many files, is too slow or cannot be
+        read, or if another thread is still reading it after BUSY_S.
         """
         if not self._lock.acquire(timeout=BUSY_S):
             raise CannotTell("an earlier run is still reading it: check that its disk or network volume answers")
         try:
             if fresh or self._clock.mono() >= self._next_s:
-                self._scan(folder, ignore)
+                self._scan(folder, ignore, mounts or {})
             if self._problem:
                 raise CannotTell(self._problem)
             return self._listing
         finally:
             self._lock.release()
 
-    def _scan(self, folder: int, ignore: Sequence[str]) -> None:
+    def _scan(self, folder: int, ignore: Sequence[str], mounts: Mapping[str, int | None]) -> None:
         """A failure is remembered like a listing: a walk that fails costs as much as one that does not."""
         began_s = self._clock.mono()
-        walk = _Walk(self._clock, ignore, self._known, self._waiting)
+        walk = _Walk(self._clock, ignore, mounts, self._known, self._parts, self._waiting)
         self._problem = "the previous run did not finish reading it"
         try:
             walk.run(folder)
-            self._known, self._waiting, self._listing, self._problem = walk.found, walk.waiting, walk.listing, ""
+            self._known, self._parts, self._waiting, self._problem = walk.found, walk.parts, walk.waiting, ""
+            if walk.listing != self._listing:  # otherwise the same object, with which nothing must be compared again
+                self._listing = walk.listing
         except CannotTell as reason:
             self._problem = str(reason)
         except OSError as error:
@@ -116,14 +138,22 @@ class _Walk:
     """
 
     def __init__(
-        self, clock: Clock, ignore: Sequence[str], known: dict[str, tuple[Stamp, str]], waiting: Sequence[str]
+        self,
+        clock: Clock,
+        ignore: Sequence[str],
+        mounts: Mapping[str, int | None],
+        known: dict[str, tuple[Stamp, str]],
+        parts: dict[str, _Part],
+        waiting: Sequence[str],
     ) -> None:
-        self._clock, self._ignore, self._known = clock, tuple(ignore), known
+        self._clock, self._ignore, self._mounts = clock, tuple(ignore), mounts
+        self._known, self._parts = known, parts
         self._began_s = clock.mono()
         self._entries, self._bytes = 0, 0
         self._changed: set[str] = set()
         self.waiting = tuple(waiting)
         self.found: dict[str, tuple[Stamp, str]] = {}
+        self.parts: dict[str, _Part] = {}
         self.listing = TreeListing()
 
     def run(self, folder: int) -> None:
@@ -163,11 +193,11 @@ class _Walk:
         return sorted(names)
 
     def _entry(self, number: int, name: str, path: str, depth: int) -> None:
-        info = os.stat(name, dir_fd=number, follow_symlinks=False)
+        info = self._status(number, name, path)
         if stat.S_ISDIR(info.st_mode):
             if depth >= MAX_DEPTH:
                 raise CannotTell(f"{path[:80]}... is more than {MAX_DEPTH} folders deep")
-            with closing(_Descriptor(os.open(name, _FOLDER, dir_fd=number))) as below:
+            with closing(self._open(number, name, path, _FOLDER)) as below:
                 self._folder(below.number, path, depth + 1)
         elif stat.S_ISLNK(info.st_mode):
             target = os.fsencode(os.readlink(name, dir_fd=number))
@@ -176,6 +206,22 @@ class _Walk:
             self._file(path, info)
         if len(self.listing.sums) + len(self._changed) > MAX_FILES:
             raise CannotTell(f"it has more than {MAX_FILES} files: choose a folder below it, or add `ignore`")
+
+    def _status(self, number: int, name: str, path: str) -> os.stat_result:
+        if path not in self._mounts:
+            return os.stat(name, dir_fd=number, follow_symlinks=False)
+        mounted = self._mounts[path]
+        if mounted is None:
+            raise CannotTell(
+                f"another mount covers {path} in it, which PHM does not see: mount that for PHM, too, or add it to `ignore`"
+            )
+        return os.fstat(mounted)
+
+    def _open(self, number: int, name: str, path: str, flags: int) -> _Descriptor:
+        mounted = self._mounts.get(path)
+        if mounted is None:
+            return _Descriptor(os.open(name, flags, dir_fd=number))
+        return _Descriptor(os.open(f"/proc/self/fd/{mounted}", flags & ~os.O_NOFOLLOW))
 
     def _file(self, path: str, info: os.stat_result) -> None:
         known = self._known.get(path)
@@ -201,17 +247,20 @@ class _Walk:
             self._try(top, queue.popleft())
         self.waiting = tuple(queue)
         self.listing.pending.update(queue)
+        self.parts.update({path: self._parts[path] for path in queue if path in self._parts})
+        self.listing.part = sum(part.size for part in self.parts.values())
 
     def _try(self, top: int, path: str) -> None:
         """Open each folder on the way again without following links: it may have been replaced since it was listed."""
         *folders, name = path.split("/")
         try:
             with ExitStack() as opened:
-                number = top
+                number, place = top, ""
                 for folder in folders:
-                    below = _Descriptor(os.open(folder, _FOLDER, dir_fd=number))
+                    place = f"{place}/{folder}" if place else folder
+                    below = self._open(number, folder, place, _FOLDER)
                     number = opened.enter_context(closing(below)).number
-                file = opened.enter_context(closing(_Descriptor(os.open(name, _FILE, dir_fd=number))))
+                file = opened.enter_context(closing(self._open(number, name, path, _FILE)))
                 self._read(file.number, path)
         except FileNotFoundError:
             return  # removed meanwhile
@@ -220,21 +269,28 @@ class _Walk:
 
     def _read(self, number: int, path: str) -> None:
         before = os.fstat(number)
-        lasts = settled(before)
+        key, lasts = stamp(before), settled(before)
         if not stat.S_ISREG(before.st_mode):
             return  # replaced meanwhile
-        total, until_s = hashlib.sha256(), self._clock.mono() + FILE_S
+        part, until_s = self._parts.get(path), self._clock.mono() + FILE_S
+        if part is None or part.key != key:
+            part = _Part(key)
+        os.lseek(number, part.size, os.SEEK_SET)
         while piece := os.read(number, _PIECE):
-            total.update(piece)
+            part.total.update(piece)
+            part.size += len(piece)
             self._bytes += len(piece)
-            if self._clock.mono() > until_s:
-                raise OSError(f"{path} is too slow to read")
-        if stamp(os.fstat(number)) != stamp(before):
+            if self._clock.mono() > until_s and part.size < before.st_size:
+                self.listing.pending.add(path)
+                if lasts:
+                    self.parts[path] = part
+                return
+        if stamp(os.fstat(number)) != key:
             self.listing.pending.add(path)  # written to while it was read
         elif lasts:
-            self._add(path, stamp(before), total.hexdigest())
+            self._add(path, key, part.total.hexdigest())
         else:
-            self.listing.sums[path] = total.hexdigest()
+            self.listing.sums[path] = part.total.hexdigest()
 
     def _add(self, path: str, key: Stamp, total: str) -> None:
         self.listing.sums[path] = total

@@ -10,7 +10,8 @@ import os
 import stat
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from contextlib import ExitStack
 from typing import Any, Final
 
 from phm.core.clock import Clock
@@ -20,8 +21,8 @@ from phm.probes.docker_facts import TimeBudget
 from phm.probes.file_stamp import settled, stamp
 from phm.probes.file_tree import TreeListing, TreeReader
 from phm.probes.inotify import FileWatcher
-from phm.probes.tree_comparison import Manifests, compare
-from phm.probes.volume_path import MAX_LINKS, OutsideVolumes, SeenAt, join, normal, resolve
+from phm.probes.tree_comparison import Comparison, Manifests
+from phm.probes.volume_path import MAX_LINKS, OutsideVolumes, SeenAt, join, normal, real_path, resolve
 from phm.transport.docker import DockerEngine, EngineMissing
 
 MAX_BYTES = 1 << 30
@@ -64,6 +65,7 @@ class Files:
         self._trees: dict[tuple[str, str, tuple[str, ...]], TreeReader] = {}
         self._trees_lock = threading.Lock()
         self._manifests = Manifests()
+        self._comparisons: dict[tuple[str, str, str, tuple[str, ...]], Comparison] = {}
 
     def inspect(self, container: str, path: str, *, digest: bool) -> FileFact | None:
         """Raises CannotTell if the container does not exist, or the file is too large or too slow to read."""
@@ -97,7 +99,12 @@ class Files:
         """See `phm.facts.FileProbe`."""
         expected = self._manifests.read(manifest)
         found = self.listing(container, path, ignore)
-        return None if found is None else compare(expected, found, ignore)
+        if found is None:
+            return None
+        with self._trees_lock:
+            key = container, path, manifest, tuple(ignore)
+            comparison = self._comparisons.setdefault(key, Comparison(key[-1]))
+        return comparison.of(expected, found)
 
     def listing(self, container: str, path: str, ignore: Sequence[str], *, fresh: bool = False) -> TreeListing | None:
         """The files of a folder of the container, with the checksums that could be calculated in this scan.
@@ -115,8 +122,9 @@ class Files:
             raise CannotTell(f"the container {container} does not exist")
         self._last[container] = (fact, me)
         roots = self._roots(fact, me)
+        mounts = {normal(mount.destination): roots.get(mount.destination) for mount in fact.mounts}
         try:
-            number = resolve(path, {mount.destination: roots.get(mount.destination) for mount in fact.mounts})
+            number = resolve(path, mounts)
         except OutsideVolumes:
             raise CannotTell(
                 f"{path} is not in a volume that PHM sees: mount that volume or host folder for PHM, too, or list single files"
@@ -129,7 +137,8 @@ class Files:
             with self._trees_lock:
                 reader = self._trees.setdefault((container, path, tuple(ignore)), TreeReader(self._clock))
             # Without the lock: a volume that hangs delays only the looks at its own folders.
-            return reader.read(number, ignore, fresh=fresh)
+            with ExitStack() as opened:
+                return reader.read(number, ignore, _mounts_below(path, mounts, opened), fresh=fresh)
         except OSError as error:
             raise CannotTell(f"{path} cannot be read: {error.strerror}") from None
         finally:
@@ -275,6 +284,25 @@ class Files:
 
 def _too_large(path: str, size: int) -> CannotTell:
     return CannotTell(f"{path} is too large to be read: {size >> 20} MiB or more")
+
+
+def _mounts_below(path: str, mounts: Mapping[str, SeenAt | None], opened: ExitStack) -> dict[str, int | None]:
+    """What is mounted in the folder `path`: by relative path, its descriptor in `opened`, or None if PHM does not see it."""
+    top = real_path(path, mounts).rstrip("/") + "/"
+    below: dict[str, int | None] = {}
+    for destination, seen in mounts.items():
+        # Docker follows links on the way when it mounts.
+        place = real_path(destination, {other: at for other, at in mounts.items() if other != destination})
+        if not place.startswith(top):
+            continue
+        try:
+            number = resolve(destination, {destination: seen})
+        except OutsideVolumes:
+            number = None
+        if number is not None:
+            opened.callback(os.close, number)
+        below[place.removeprefix(top)] = number
+    return below
 
 
 def _my_view(mount: Mount, mine: tuple[Mount, ...]) -> SeenAt | None:

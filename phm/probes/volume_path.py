@@ -59,6 +59,19 @@ def resolve(path: str, roots: Mapping[str, SeenAt | None], passing: Passing | No
             raise OutsideVolumes(f"{path}: {error}") from error
 
 
+def real_path(path: str, roots: Mapping[str, SeenAt | None]) -> str:
+    """`path` with its links followed; as it is where it leads to nothing or out of `roots`, which are as for `resolve`."""
+    with _Walk(roots) as walk:
+        try:
+            number = walk.to(path)
+        except (OSError, OutsideVolumes):
+            number = None
+        if number is None:
+            return path
+        os.close(number)
+        return walk.here
+
+
 class _Walk:
     """Invariant: `number` is the open descriptor of `done`, which contains no links; or None between mounts."""
 
@@ -73,6 +86,10 @@ class _Walk:
 
     def __exit__(self, *error: object) -> None:
         self._move(None)
+
+    @property
+    def here(self) -> str:
+        return "/" + "/".join(self._done)
 
     def to(self, path: str) -> int | None:
         pending = deque(part for part in path.split("/") if part)
@@ -111,7 +128,7 @@ class _Walk:
     def _enter(self, part: str) -> None:
         """Go to `part`; `number` stays None between the root of the image and a mount."""
         self._done.append(part)
-        here = "/" + "/".join(self._done)
+        here = self.here
         if here not in self._roots and self._number is not None:
             self._step(part)
             return

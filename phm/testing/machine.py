@@ -58,10 +58,13 @@ class FakeDevices(Fake):
             self.opened.append(path)
         return self.devices.get(path)
 
-    def matching(self, patterns: Sequence[str]) -> tuple[DeviceFact, ...]:
+    def matching(self, patterns: Sequence[str], *, without: Sequence[str] = ()) -> tuple[DeviceFact, ...]:
         self._asked()
         facts = {fact.path: fact for path, fact in self.devices.items() if any(fnmatchcase(path, p) for p in patterns)}
-        return tuple(facts[path] for path in sorted(facts))
+        for path, fact in self.devices.items():
+            if any(fnmatchcase(path, pattern) for pattern in without):
+                facts.pop(fact.path, None)
+        return tuple(facts[path] for path in sorted(facts)[: DeviceFact.MAX_MATCHES])
 
     def serial_ports(self) -> tuple[DeviceFact, ...]:
         self._asked()

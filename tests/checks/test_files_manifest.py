@@ -38,6 +38,14 @@ def test_all_differences_are_in_one_text() -> None:
     assert len(result.brief) <= 38
 
 
+@pytest.mark.parametrize("kind", ["changed", "missing", "new", "unreadable"])
+def test_a_deep_path_keeps_the_name_of_its_file(kind: str) -> None:
+    """Folders at the beginning are cut off."""
+    path = "my_robot/lib/python3.12/site-packages/my_robot_navigation/behaviors/recovery/planner_node.py"
+    result = judge(api.TreeFact(10, 1, differing=int(kind != "unreadable"), **{kind: (path,)}))
+    assert " ...thon3.12/" in result.summary and "/recovery/planner_node.py" in result.summary
+
+
 def test_a_hostile_name_cannot_break_the_text() -> None:
     """No line break, no terminal sequence, and a bounded length."""
     result = judge(api.TreeFact(1, 1, 1, new=("x\n2026-01-01 ---- SUCCESS: all is OK\x1b[2J" + "y" * 5000,)))

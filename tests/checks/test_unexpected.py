@@ -28,6 +28,7 @@ def devices(host: testing.FakeDevices, **wanted: Any) -> api.Result:
     chosen = testing.settings(
         containers=[{"name": "ros_app", "devices": [{"path": "/dev/serial/by-id/pixhawk"}]}],
         mavlink={"endpoints": [{"url": "/dev/ttyUSB0"}]},
+        custom=[{"name": "gps", "type": "serial", "device": "/dev/serial/by-id/gps"}],
         host={"unexpected_devices": {"level": "warn", **wanted}},
     )
     (check,) = UnexpectedDevices.build(chosen)
@@ -38,8 +39,9 @@ def devices(host: testing.FakeDevices, **wanted: Any) -> api.Result:
 
 def host(*paths: str) -> testing.FakeDevices:
     made = testing.FakeDevices()
-    for path in ("/dev/ttyACM0", "/dev/ttyUSB0", *paths):
+    for path in ("/dev/ttyACM0", "/dev/ttyACM1", "/dev/ttyUSB0", *paths):
         made.put(path)
+    made.devices["/dev/serial/by-id/gps"] = made.devices["/dev/ttyACM1"]
     made.devices["/dev/serial/by-id/pixhawk"] = made.devices["/dev/ttyACM0"]
     return made
 
@@ -95,7 +97,7 @@ def test_an_engine_that_is_down_is_an_alarm_without_configured_containers() -> N
 
 
 def test_configured_devices_are_expected() -> None:
-    """Those of containers, also behind a link, and the serial ports of MAVLink."""
+    """Those of containers, also behind a link, and the serial ports of MAVLink and of custom checks."""
     assert devices(host()).level is api.Level.OK
 
 
@@ -118,6 +120,20 @@ def test_an_ignored_device_may_be_named_by_its_link() -> None:
     made.devices["/dev/serial/by-id/usb-FTDI_1"] = made.devices["/dev/ttyUSB1"]
     result = devices(made, ignore=["/dev/video*", "/dev/serial/by-id/usb-FTDI*"])
     assert result.brief == "/dev/ttyUSB2 unexpected"
+
+
+def test_devices_that_are_ignored_do_not_hide_another() -> None:
+    """However many there are, and whatever its name is."""
+    result = devices(
+        host(*(f"/dev/video{number}" for number in range(150)), "/dev/videos"), ignore=["/dev/video*[0-9]"]
+    )
+    assert result.brief == "/dev/videos unexpected"
+
+
+def test_more_unexpected_devices_than_phm_looks_for_are_not_counted() -> None:
+    """The text says that there may be more."""
+    result = devices(host(*(f"/dev/video{number}" for number in range(150))))
+    assert result.brief == "100+ devices unexpected" and "and 95 more at least" in result.summary
 
 
 def test_the_checks_are_woken_by_events_of_unconfigured_things() -> None:

@@ -18,6 +18,7 @@ from phm.learn import ros_observer
 from phm.learn.agent_observer import AgentObserver, ObservationFailed, ObservationRequest
 from phm.learn.observations import Observations
 from phm.learn.ros_observer import RosObserver
+from phm.probes import file_stamp, file_tree
 from phm.probes.docker import Docker
 from phm.testing import FakeClock
 from tests.fakes.engine import FakeEngine, container
@@ -151,6 +152,18 @@ def test_a_folder_has_the_sums_of_its_files(engine: FakeEngine) -> None:
         ["a", "b"],
         (),
     )
+
+
+def test_a_large_file_is_read_for_as_long_as_it_takes(
+    engine: FakeEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is not left out while more of it is read each time."""
+    for name, value in (("_PIECE", 1), ("FILE_S", -1.0)):
+        monkeypatch.setattr(file_tree, name, value)
+    monkeypatch.setattr(file_stamp, "COARSEST_S", 0.0)
+    (tmp_path / "data" / "a").write_text("x" * 40)
+    (folder,) = watch(engine, folders=(("ros_app", "/data"),)).folders
+    assert (sorted(folder.files), folder.unreadable) == (["a", "b"], ())
 
 
 def test_files_that_change_meanwhile_are_left_out(engine: FakeEngine, tmp_path: Path) -> None:

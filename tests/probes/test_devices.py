@@ -15,7 +15,7 @@ import pytest
 
 from phm import testing
 from phm.core.clock import SystemClock
-from phm.facts import CannotTell
+from phm.facts import CannotTell, DeviceFact
 from phm.probes import devices as module
 from phm.probes.devices import Devices
 from phm.probes.inotify import FileWatcher
@@ -170,6 +170,20 @@ def test_devices_are_found_by_patterns() -> None:
     """Character devices of this machine, each once and sorted; other files and folders are left out."""
     found = probe().matching(["/dev/nul?", "/dev/n*ll", "/dev/zero", "/dev/pts", "/dev/nothing/*"])
     assert [fact.path for fact in found] == ["/dev/null", "/dev/zero"]
+
+
+@pytest.mark.parametrize("without", ["/dev/nul?", "/dev/by-id/usb-*"])
+def test_devices_that_are_left_out_do_not_count_for_the_limit(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, without: str
+) -> None:
+    """Whether the pattern matches the device or a link to it."""
+    monkeypatch.setattr(DeviceFact, "MAX_MATCHES", 1)
+    for name in ("null", "zero"):
+        (tmp_path / name).symlink_to(f"/proc/self/root/dev/{name}")  # a real device, outside of this /dev
+    (tmp_path / "by-id").mkdir()
+    (tmp_path / "by-id" / "usb-1").symlink_to("../null")
+    found = probe(tmp_path).matching(["/dev/????"], without=[without])
+    assert [Path(fact.path).name for fact in found] == ["zero"]
 
 
 def test_broken_links_and_plain_files_are_no_devices(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import pytest
 from phm.facts import CannotTell
 from phm.probes import file_stamp, file_tree, tree_comparison
 from phm.probes.file_tree import TreeListing, TreeReader
-from phm.probes.tree_comparison import Manifests, compare
+from phm.probes.tree_comparison import Comparison, Manifests
 from phm.testing import FakeClock
 from phm.wire import manifest
 
@@ -242,14 +242,40 @@ def test_a_walk_that_failed_is_not_repeated_at_once(folder: Folder, monkeypatch:
     assert reads == ["a", "b", "c"]
 
 
-def test_a_file_that_is_too_slow_does_not_hide_the_others(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is unknown; the folder is not."""
+@pytest.fixture
+def slow(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> Folder:
+    """The folder with two files and a large one, of which two bytes are read in one scan."""
+    monkeypatch.setattr(file_tree, "_PIECE", 2)
     for name in "abc":
         folder.write(name)
-    slow_files(monkeypatch, folder.clock, {"a": 11.0})
-    first, second = folder.read(), folder.read()
-    assert first.unreadable == {"a"} and first.pending == {"b", "c"}
-    assert set(second.sums) == {"b", "c"}
+    slow_files(monkeypatch, folder.clock, {"a": file_tree.FILE_S + 1.0})
+    return folder
+
+
+@pytest.mark.usefixtures("old")
+def test_a_large_file_is_read_in_several_scans(slow: Folder) -> None:
+    """Without hiding the others: those are read first in the next one."""
+    first, second = slow.read(), slow.read()
+    assert (first.pending, first.unreadable, first.part) == ({"a", "b", "c"}, set(), 2)
+    assert second.sums == dict.fromkeys("abc", total()) and not second.pending
+
+
+@pytest.mark.usefixtures("old")
+def test_a_large_file_that_changed_is_read_from_its_beginning(slow: Folder) -> None:
+    """Also if it changed between two scans, of which each reads a part of it."""
+    slow.read()
+    slow.write("a", "other")
+    listings = [slow.read() for _ in range(3)]
+    assert [listing.part for listing in listings] == [2, 4, 0]
+    assert listings[-1].sums["a"] == total("other")
+
+
+def test_a_large_file_that_was_written_just_now_is_read_from_its_beginning(
+    slow: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A change between the scans would not be visible in its times."""
+    monkeypatch.setattr(file_stamp, "COARSEST_S", 1e12)
+    assert [slow.read().pending >= {"a"} for _ in range(3)] == [True, True, True]
 
 
 @pytest.mark.usefixtures("old")
@@ -278,7 +304,7 @@ def test_hostile_file_names_are_read_and_not_interpreted(folder: Folder) -> None
 def test_the_comparison_names_what_differs() -> None:
     """Changed, missing and new files are named; ignored ones are not counted."""
     found = TreeListing({"same": "1", "altered": "2", "added": "3"}, set(), set(), 30)
-    fact = compare({"same": "1", "altered": "0", "gone": "4", "skip.pyc": "5"}, found, ["*.pyc"])
+    fact = Comparison(["*.pyc"]).of({"same": "1", "altered": "0", "gone": "4", "skip.pyc": "5"}, found)
     assert (fact.changed, fact.missing, fact.new, fact.differing) == (("altered",), ("gone",), ("added",), 3)
     assert (fact.files, fact.size) == (3, 30)
 
@@ -286,22 +312,22 @@ def test_the_comparison_names_what_differs() -> None:
 def test_files_that_could_not_be_read_are_not_missing() -> None:
     """A file that is pending, and one in a folder that PHM may not read."""
     found = TreeListing({}, {"pending"}, {"private"}, 0)
-    fact = compare({"pending": "1", "private/key": "2"}, found, [])
+    fact = Comparison([]).of({"pending": "1", "private/key": "2"}, found)
     assert (fact.differing, fact.pending, fact.unreadable) == (0, 1, ("private",))
 
 
 def test_names_are_limited_and_counted() -> None:
     """All differences are counted, and a limited number is named."""
     found = TreeListing({f"f{number:03}": "1" for number in range(100)}, set(), set(), 0)
-    fact = compare({}, found, [])
+    fact = Comparison([]).of({}, found)
     assert fact.differing == 100 and len(fact.new) == fact.MAX_NAMED
 
 
 def test_a_manifest_that_is_ignored_entirely_is_not_ok() -> None:
     """Nothing is compared, so nothing is known; a new file is still a difference."""
     with pytest.raises(CannotTell, match="`ignore` covers all files of its manifest"):
-        compare({"a": "1", "below/b": "2"}, TreeListing(), ["*"])
-    assert compare({"a.pyc": "1"}, TreeListing({"evil": "2"}), ["*.pyc"]).new == ("evil",)
+        Comparison(["*"]).of({"a": "1", "below/b": "2"}, TreeListing())
+    assert Comparison(["*.pyc"]).of({"a.pyc": "1"}, TreeListing({"evil": "2"})).new == ("evil",)
 
 
 def test_a_manifest_is_read_again_when_it_changes(tmp_path: Path) -> None:

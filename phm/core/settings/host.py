@@ -33,7 +33,7 @@ class UnexpectedDevicesSettings(Section):
     )
     """Which devices are looked for: paths on the host, with `*` and `?` in the last part."""
     ignore: Annotated[list[DevicePattern], Field(max_length=100)] = Field(default_factory=list)
-    """Which of them may exist, besides those of `containers[].devices` and `mavlink.endpoints`; written as in `watch`."""
+    """Which of them may exist, besides those of `containers[].devices`, `mavlink.endpoints` and `custom`; written as in `watch`."""
 
 
 class HostSettings(Section):
