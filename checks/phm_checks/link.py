@@ -147,8 +147,8 @@ class Link(api.Check):
             )
         if link.code in _REFUSED:
             return (
-                f"PHM has no permission to open the port {path} ({said}): give PHM's container the device (`devices`) and its group "
-                "(`group_add: [dialout]`)",
+                f"PHM has no permission to open the port {path} ({said}): give PHM's container the device (`devices` or "
+                "`device_cgroup_rules`) and its group (`group_add: [dialout]`)",
                 f"{name} no permission",
             )
         if link.code in _IN_USE:
