@@ -111,6 +111,13 @@ def test_a_serial_endpoint_is_mapped_into_the_container() -> None:
     assert settings(texts).mavlink.endpoints[0].serial
 
 
+def test_a_serial_endpoint_that_may_be_missing_has_an_alternative() -> None:
+    """Docker resolves `devices` at every start of the container: a missing port would keep PHM from starting."""
+    text = made(mavlink="/dev/ttyACM0")["compose.yaml"]
+    assert "without the port PHM does not start" in text
+    assert '# device_cgroup_rules:\n    #   - "c 166:* rw"' in text
+
+
 def test_an_engine_reached_over_tcp_needs_no_socket() -> None:
     """No volume shows it to the container."""
     texts = render(machine(url="tcp://10.0.0.1:2375"), answers())
