@@ -104,6 +104,13 @@ def test_phm_is_in_the_groups_that_own_socket_and_serial_ports() -> None:
     assert service(made())["group_add"] == ["998", "20"]
 
 
+def test_a_path_with_colons_is_mapped_in_the_long_form() -> None:
+    """As udev names them by the place of the connector. In the short form, Compose takes a colon for the end of the path."""
+    path = "/dev/serial/by-path/platform-fd500000.pcie-pci-0000:01:00.0-usb-0:1.1:1.0"
+    (found,) = service(made(mavlink=path))["devices"]
+    assert found == {"source": path, "target": path, "permissions": "rwm"}
+
+
 def test_a_serial_endpoint_is_mapped_into_the_container() -> None:
     """At the same path."""
     texts = made(mavlink="/dev/ttyACM0")
