@@ -66,6 +66,8 @@ class Autopilot(api.Check):
 
     def run(self, world: api.World) -> api.Result:
         fact, limits = world.links.autopilot(), self._settings.mavlink
+        if fact is None and not starting(world) and (other := self._other(world)):
+            return self._misnamed(*other)
         if fact is None and not limits.autopilot:
             words = "no autopilot heartbeat received, and none is expected (mavlink.autopilot)"
             return api.bypass(words).with_evidence(api.Evidence(unobserved=True))
@@ -92,6 +94,32 @@ class Autopilot(api.Check):
         flying = "armed" if fact.armed else "disarmed"
         words = f"last autopilot heartbeat {span(fact.age_s)} ago, {flying}, mode {fact.custom_mode}"
         return api.ok(words, values=_values(fact)).with_evidence(api.Evidence(ended_by=ended_by))
+
+    def _other(self, world: api.World) -> tuple[int, str] | None:
+        """The system as which the autopilot sends instead of `agent.id`, and the link. None where it may be another vehicle: only
+        the autopilot itself is at the other end of these links, and none has a radio."""
+        entries = (one for one in self._links if one.leads_to == "autopilot" or (one.serial and one.leads_to == "both"))
+        direct = {entry.key for entry in entries} - {radio.link for radio in world.links.radios()}
+        senders = [(one, link.name) for link in world.links.links() if link.name in direct for one in link.senders]
+        gcs, own = world.links.gcs(), self._settings.agent.id
+        found = {
+            one.system: link
+            for one, link in senders
+            if one.component == 1 and one.age_s <= self._settings.mavlink.autopilot_timeout
+        }
+        if len(found) != 1 or any(one.system == own for one, _ in senders) or (gcs is not None and gcs.system in found):
+            return None
+        return next(iter(found.items()))
+
+    def _misnamed(self, system: int, link: str) -> api.Result:
+        own = self._settings.agent.id
+        make = api.error if self._settings.mavlink.autopilot else api.warn
+        return make(
+            f"autopilot {system} is received on {link}, agent.id is {own}: set agent.id (PHM_AGENT_ID) to {system}, or the "
+            f"autopilot's system id to {own}",
+            brief=brief("autopilot:", f"id {system}, agent.id {own}"),
+            condition="autopilot_silent",
+        )
 
     def _certain(self, world: api.World, fact: api.AutopilotFact) -> bool:
         """Whether no link, router or radio on the way can be the cause."""

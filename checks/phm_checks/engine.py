@@ -45,6 +45,13 @@ class Engine(api.Check):
                 brief="Docker denies access to PHM",
                 condition="engine_refused",
             )
+        except api.NoAccess as reason:
+            return api.error(
+                f"the Docker Engine cannot be asked: {clean(str(reason))}. Running containers continue, but PHM knows less about them "
+                "and cannot recover them",
+                brief="no permission for Docker's socket",
+                condition="engine_down",
+            )
         except api.CannotTell as reason:
             found = api.error(
                 f"the Docker Engine does not respond: {clean(str(reason))}. Running containers continue without it, but "

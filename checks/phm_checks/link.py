@@ -40,6 +40,7 @@ EASE = 0.7
 MOST_SENDERS = 8
 _IN_USE = frozenset((errno.EAGAIN, errno.EBUSY))
 _REFUSED = frozenset((errno.EACCES, errno.EPERM))
+_NO_DEVICE = frozenset((errno.ENXIO, errno.ENODEV))
 _WORKS = frozenset({"line_errors", "frames_lost"})
 """Conditions of a link that is open and on which frames are received: no earlier failure lasts."""
 
@@ -147,8 +148,8 @@ class Link(api.Check):
             )
         if link.code in _REFUSED:
             return (
-                f"PHM has no permission to open the port {path} ({said}): give PHM's container the device (`devices`) and its group "
-                "(`group_add: [dialout]`)",
+                f"PHM has no permission to open the port {path} ({said}): give PHM's container the device (`devices` or "
+                "`device_cgroup_rules`) and its group (`group_add: [dialout]`)",
                 f"{name} no permission",
             )
         if link.code in _IN_USE:
@@ -160,7 +161,10 @@ class Link(api.Check):
                 "the port through a MAVLink router",
                 f"{name} in use{by}",
             )
-        return f"the port {path} exists but cannot be used ({said}): check its cable and driver", f"{name} failed"
+        # Docker makes a container's device files at its start: on USB, the device may have another number since.
+        old = "; or PHM's container has the old device file: `docker compose up -d --force-recreate phm`"
+        more = old if link.code in _NO_DEVICE else ""
+        return f"the port {path} exists but cannot be used ({said}): check its cable and driver{more}", f"{name} failed"
 
     def _connection(self, link: api.LinkFact) -> tuple[str, str]:
         said = clean(link.error) or "no reason given"

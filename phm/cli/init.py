@@ -86,14 +86,15 @@ def command(
     from phm.setup.questions import Interview
     from phm.transport.docker import DockerEngine
 
-    engine = DockerEngine(socket, ENGINE_S)
+    engine, dev = DockerEngine(socket, ENGINE_S), Path(os.environ.get("PHM_DEV_ROOT", "/dev"))
     try:
-        machine = discovery.inspect_machine(engine, Path(os.environ.get("PHM_DEV_ROOT", "/dev")))
+        machine = discovery.inspect_machine(engine, dev)
     except CannotTell as error:
         _fail(_remedy(socket) or str(error))
     _show(machine)
     interview = Interview(machine, _given(given))
     answers = replace(_ask(interview, yes=yes), deliver=deliver)
+    machine = replace(machine, serial_ports=tuple(discovery.serial_ports(dev, [answers.mavlink])))
     if not no_ros:
         answers = _with_nodes(machine, answers, engine)
     texts = _checked(machine, answers, directory)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -46,6 +46,11 @@ class DoctorContext:
     def dev(self) -> Path:
         """The path at which the host's /dev is mounted."""
         return Path(self.environ.get("PHM_DEV_ROOT") or self.settings.host.dev_root)
+
+    @property
+    def endpoint_ports(self) -> Sequence[str]:
+        """The serial ports of MAVLink endpoints."""
+        return [entry.url for entry in self.settings.mavlink.endpoints if entry.serial]
 
     @property
     def in_container(self) -> bool:

@@ -16,7 +16,7 @@ def rows(context: DoctorContext) -> Iterator[Row]:
     if not dev.is_dir():
         yield missing("folder", f"{dev} does not exist", "mount the host's /dev there, or correct host.dev_root")
         return
-    ports = [port.path for port in serial_ports(dev)]
+    ports = [port.path for port in serial_ports(dev, context.endpoint_ports)]
     if not ports:
         yield ok("serial ports", "none")
     for path in ports:

@@ -12,6 +12,7 @@ from phm.doctor.context import DoctorContext
 from phm.doctor.row import Row, limited, missing, ok
 from phm.probes.serial_port_users import users
 from phm.transport.own_network import is_loopback, is_private
+from phm.transport.serial_errors import place
 from phm.wire import status_file
 
 
@@ -29,12 +30,13 @@ def rows(context: DoctorContext) -> Iterator[Row]:
 
 
 def _serial(endpoint: EndpointSettings, context: DoctorContext) -> Row:
-    path = endpoint.url
+    path = place(endpoint.url, str(context.dev))
     if not os.path.exists(path):
         remedy = f"connect it; in a container, add `devices: [{path}]` to the compose file"
         return missing(endpoint.key, f"{path} does not exist", remedy)
     if not os.access(path, os.R_OK | os.W_OK):
-        return missing(endpoint.key, f"{path} may not be opened", "add the group of the port: `phm doctor` lists it")
+        remedy = "add the group of the port, which `phm doctor` lists; in a container also `devices` or `device_cgroup_rules`"
+        return missing(endpoint.key, f"{path} may not be opened", remedy)
     taken = [user for user in users(path, context.proc) if not _running(context)]
     if taken:
         text = f"{path} is in use by {', '.join(taken)}"

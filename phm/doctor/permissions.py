@@ -15,7 +15,7 @@ def rows(context: DoctorContext) -> Iterator[Row]:
     own = sorted({os.getegid(), *os.getgroups()})
     yield ok("user", f"uid {os.geteuid()}, groups {', '.join(map(group_name, own))}")
     yield from _socket(context)
-    owners = {port.group_id: port.path for port in serial_ports(context.dev)}
+    owners = {port.group_id: port.path for port in serial_ports(context.dev, context.endpoint_ports)}
     for number, path in owners.items():
         if os.geteuid() == 0 or number in own:
             yield ok(f"group {group_name(number)}", f"owner of {path}: PHM is a member")

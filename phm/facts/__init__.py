@@ -24,7 +24,12 @@ from phm.facts.docker import (
     OtherContainer as OtherContainer,
     ProcessFact as ProcessFact,
 )
-from phm.facts.errors import CannotTell as CannotTell, NoResponse as NoResponse, NotPermitted as NotPermitted
+from phm.facts.errors import (
+    CannotTell as CannotTell,
+    NoAccess as NoAccess,
+    NoResponse as NoResponse,
+    NotPermitted as NotPermitted,
+)
 from phm.facts.files import (
     DeviceFact as DeviceFact,
     DeviceProbe as DeviceProbe,

@@ -11,5 +11,9 @@ class NoResponse(CannotTell):
     """The other side did not answer in time, or could not be reached."""
 
 
+class NoAccess(NoResponse):
+    """PHM lacks the permission to reach the other side, which may be well (EACCES of a socket)."""
+
+
 class NotPermitted(CannotTell):
-    """The other side refused the request for lack of permission (HTTP 403, EACCES)."""
+    """The other side refused the request for lack of permission (HTTP 403)."""

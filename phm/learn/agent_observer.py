@@ -63,7 +63,7 @@ class AgentObserver:
         engine = DockerEngine(self.settings.docker.socket, self.settings.docker.timeout, self.clock)
         ros = RosObserver(self.settings.ros, self.settings.agent.name, self.clock) if self.request.ros else None
         pilot = (
-            AutopilotObserver(self.settings.mavlink, self.settings.agent.id, self.clock)
+            AutopilotObserver(self.settings.mavlink, self.settings.agent.id, self.clock, self.settings.host.dev_root)
             if self.request.links and self.settings.mavlink.endpoints
             else None
         )

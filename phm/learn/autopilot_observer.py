@@ -28,7 +28,7 @@ class _Heartbeats:
 class AutopilotObserver:
     """Call `start`, then `into` at the end."""
 
-    def __init__(self, settings: MavlinkSettings, agent_id: int, clock: Clock) -> None:
+    def __init__(self, settings: MavlinkSettings, agent_id: int, clock: Clock, dev_root: str = "/dev") -> None:
         self._clock = clock
         self._urls = {entry.key: entry.url for entry in settings.endpoints}
         self._lock = threading.Lock()
@@ -36,7 +36,7 @@ class AutopilotObserver:
         self._problem = ""
         self._hub: MavlinkHub | None = None
         try:
-            self._hub = MavlinkHub(settings, agent_id, clock)
+            self._hub = MavlinkHub(settings, agent_id, clock, dev_root=dev_root)
             self._hub.listen(self._receive, (mavlink.MAVLINK_MSG_ID_HEARTBEAT,))
         except InvalidKey as error:
             self._problem = f"MAVLink was not watched: {error}"

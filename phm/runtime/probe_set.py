@@ -212,7 +212,14 @@ def build_probes(
         else None
     )
     file_watcher = FileWatcher(clock)
-    hub = hub or MavlinkHub(settings.mavlink, settings.agent.id, clock, settings.state_dir, clock_synchronized)
+    hub = hub or MavlinkHub(
+        settings.mavlink,
+        settings.agent.id,
+        clock,
+        settings.state_dir,
+        clock_synchronized,
+        settings.host.dev_root,
+    )
     links = Links(hub, settings.agent.id, settings.mavlink, clock, lambda: wake("link"))
     swarm = SwarmMonitor(
         hub,

@@ -98,18 +98,21 @@ def _profile(engine: DockerEngine, container: str, variables: Mapping[str, str])
         return ""
 
 
-def serial_ports(dev: Path) -> Iterator[SerialPort]:
-    """Serial ports below `dev`, each once: by its stable name where udev made one. Paths are those of the host."""
+def serial_ports(dev: Path, named: Sequence[str] = ()) -> Iterator[SerialPort]:
+    """Serial ports below `dev`, each once: by its stable name where udev made one. Paths are those of the host.
+
+    named: further paths, e.g. /dev/ttyS0; the others of that kind are not listed, as most of them lead nowhere.
+    """
     seen = set()
-    for pattern in _SERIAL:
-        for path in sorted(dev.glob(pattern)):
-            try:
-                state = path.stat()
-            except OSError:
-                continue
-            if stat.S_ISCHR(state.st_mode) and state.st_rdev not in seen:
-                seen.add(state.st_rdev)
-                yield SerialPort(f"/dev/{path.relative_to(dev)}", state.st_gid)
+    more = [dev / path.removeprefix("/dev/") for path in named if path.startswith("/dev/")]
+    for path in (*(path for pattern in _SERIAL for path in sorted(dev.glob(pattern))), *more):
+        try:
+            state = path.stat()
+        except OSError:
+            continue
+        if stat.S_ISCHR(state.st_mode) and state.st_rdev not in seen:
+            seen.add(state.st_rdev)
+            yield SerialPort(f"/dev/{path.relative_to(dev)}", state.st_gid)
 
 
 def _other_devices(applications: Sequence[Application], dev: Path) -> Iterator[str]:

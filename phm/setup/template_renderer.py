@@ -198,8 +198,21 @@ def _network(answers: Answers) -> str:
 def _devices(answers: Answers) -> str:
     """The serial port of a MAVLink endpoint; for other ports the rules that `open: always` needs, as comments."""
     if answers.mavlink.startswith("/"):
-        port = compose_quoted(f"{answers.mavlink}:{answers.mavlink}")
-        return f"    # The serial port must exist when the container is created.\n    devices:\n      - {port}\n"
-    lines = ["    # PHM looks at devices in /host/dev. To open them (`open: always`), one rule for each kind:"]
+        lines = [
+            "    # Docker looks for it at every start of the container: without the port PHM does not start. For one that may be",
+            "    # missing or come back with another number (USB), the rule of its kind instead of `devices`: then PHM opens it",
+            "    # in /host/dev.",
+            f"    devices:\n      - {_mapping(answers.mavlink)}",
+        ]
+    else:
+        lines = ["    # PHM looks at devices in /host/dev. To open them (`open: always`), one rule for each kind:"]
     lines += ["    # device_cgroup_rules:", *(f'    #   - "{rule}" # {what}' for rule, what in _SERIAL_MAJORS)]
     return "\n".join(lines) + "\n"
+
+
+def _mapping(path: str) -> str:
+    """A device at the same path in the container. In the short form, a colon would end the path."""
+    port = compose_quoted(path)
+    if ":" in path:
+        return f"{{source: {port}, target: {port}, permissions: rwm}}"
+    return compose_quoted(f"{path}:{path}")

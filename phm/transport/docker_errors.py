@@ -9,7 +9,7 @@ import requests
 from docker.errors import APIError
 from urllib3.exceptions import ProtocolError
 
-from phm.facts import CannotTell, NoResponse, NotPermitted
+from phm.facts import CannotTell, NoAccess, NoResponse, NotPermitted
 from phm.transport.call_deadlines import PendingCall
 
 _MAX_TEXT = 300
@@ -32,6 +32,10 @@ class EngineUnreachable(EngineError, NoResponse):
 
 class EngineNotConnected(EngineUnreachable):
     """The connection failed, or that of a proxy (HTTP 503): the engine has not received the request."""
+
+
+class EngineNoAccess(EngineNotConnected, NoAccess):
+    """PHM may not open the socket."""
 
 
 class EngineRefused(EngineError, NotPermitted):
@@ -111,7 +115,7 @@ def _no_connection(error: OSError, url: str, limit_s: float, what: str) -> Engin
         return _late(url, limit_s, what)
     path = url.removeprefix("unix://")
     if error.errno in (errno.EACCES, errno.EPERM):
-        return EngineNotConnected(
+        return EngineNoAccess(
             f"PHM may not open {path} (permission denied): add the docker group with group_add in the compose file"
         )
     if error.errno == errno.ENOENT:

@@ -38,9 +38,10 @@ class MavlinkHub:
         clock: Clock,
         state_dir: str | None = None,
         synchronized: Callable[[], bool | None] = lambda: None,
+        dev_root: str = "/dev",
     ) -> None:
         """state_dir: directory for the time of signing; None: not stored. synchronized: whether the machine's clock is
-        synchronized; None if unknown. Raises InvalidKey."""
+        synchronized; None if unknown. dev_root: where the host's /dev is. Raises InvalidKey."""
         self._synchronized, self._command_age_s = synchronized, settings.signing.command_age
         self.system_id, self.component_id = system_id, settings.component_id
         key = settings.signing.key if settings.endpoints else None
@@ -59,6 +60,7 @@ class MavlinkHub:
                 self._deliver,
                 self._changed,
                 self._sent,
+                dev_root,
             )
             for place, entry in enumerate(settings.endpoints)
         )

@@ -20,7 +20,7 @@ from phm.transport.mavlink_channels import Channel, Stream, StreamChannel, TcpSe
 from phm.transport.mavlink_codec import Codec
 from phm.transport.mavlink_udp import UdpBroadcast, UdpIn, UdpOut, UdpToHost
 from phm.transport.own_network import HOST_NAME, gateway, is_private
-from phm.transport.serial_errors import SerialErrorCount, drop_output, keep_dtr, read_counts
+from phm.transport.serial_errors import SerialErrorCount, drop_output, keep_dtr, place, read_counts
 
 CONNECT_LIMIT_S = 5.0
 RESOLVE_LIMIT_S = 5.0
@@ -31,8 +31,11 @@ _SLICE_S = 0.1
 class ChannelOpener:
     """Opens the channel of one endpoint. `open` runs in the endpoint's thread, and returns early when `enough` is set."""
 
-    def __init__(self, settings: EndpointSettings, codec: Codec, clock: Clock, enough: threading.Event) -> None:
+    def __init__(
+        self, settings: EndpointSettings, codec: Codec, clock: Clock, enough: threading.Event, dev_root: str = "/dev"
+    ) -> None:
         self._settings, self._codec, self._clock, self._enough = settings, codec, clock, enough
+        self._dev_root = dev_root
         self._scheme = "serial"
         self._resolver: Resolver | None = None
         self._target: Address | None = None
@@ -186,7 +189,8 @@ class ChannelOpener:
 
         try:
             # exclusive: two readers of one port take each other's bytes, and both seem broken.
-            port = serial.Serial(self._settings.url, self._settings.baud, timeout=0, write_timeout=0, exclusive=True)
+            path = place(self._settings.url, self._dev_root)
+            port = serial.Serial(path, self._settings.baud, timeout=0, write_timeout=0, exclusive=True)
         except ValueError as error:  # a baud rate that the driver refuses
             raise OSError(f"{self._settings.url}: {error}") from error
         keep_dtr(port.fileno())

@@ -50,6 +50,7 @@ class Endpoint:
         deliver: Callable[[Any, str], None],
         changed: Callable[[], None],
         sent: Callable[[Any, bytes], None] = lambda message, frame: None,
+        dev_root: str = "/dev",
     ) -> None:
         self.name, self.container = settings.key, settings.container
         self.to_peers, self._radio = settings.leads_to == "peers", settings.radio != "off"
@@ -59,7 +60,7 @@ class Endpoint:
         self._stopping = threading.Event()
         self._soon = threading.Event()
         """Ends every wait while it is closed; also set with `_stopping`."""
-        self._opener = ChannelOpener(settings, codec, clock, self._soon)
+        self._opener = ChannelOpener(settings, codec, clock, self._soon, dev_root)
         self._bell = polling.Bell()
         self._fact: LinkFact | None = None
         self._line: SerialErrorCount | None = None

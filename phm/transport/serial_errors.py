@@ -1,8 +1,9 @@
-"""What the system knows of a serial port beyond its bytes: errors on the line, and a DTR that stays up. Never raises."""
+"""What the system knows of a serial port beyond its bytes: its place, errors on the line, and a DTR that stays up. Never raises."""
 
 from __future__ import annotations
 
 import contextlib
+import os
 import struct
 import sys
 from dataclasses import dataclass
@@ -23,6 +24,14 @@ class SerialErrorCount:
     framing: int
     overrun: int
     parity: int
+
+
+def place(path: str, dev_root: str) -> str:
+    """Where PHM opens a port: below `dev_root`, the host's /dev, if only that has it. A container has its own /dev, and without
+    `devices` the ports are not in it; `device_cgroup_rules` permit opening them here."""
+    below = os.path.join(dev_root, os.path.relpath(path, "/dev"))
+    inside = path.startswith("/dev/") and not os.path.exists(path) and os.path.exists(below)
+    return below if inside else path
 
 
 if sys.platform == "win32":

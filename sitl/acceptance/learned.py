@@ -92,7 +92,7 @@ class LearnedRun:
         argv = ["phm", "learn", "--for", watch, "--files", FOLDER, "--output", "/etc/phm/learned.yaml"]
         sidecar = self.stack.agent.sidecar.name
         done = subprocess.run(
-            ["docker", "exec", str(sidecar), "ros-entrypoint", *argv],
+            ["docker", "exec", str(sidecar), *argv],
             capture_output=True,
             text=True,
             timeout=LEARN_LIMIT_S,

@@ -49,6 +49,50 @@ def test_an_autopilot_that_was_never_received_is_a_fault_only_when_it_is_expecte
     )
 
 
+def with_other_systems(
+    *others: int, component: int = 1, radio: bool = False, up_s: float = 60.0, **mavlink: Any
+) -> api.Result:
+    """others: systems that are received by the port instead of the agent's own, 1."""
+    senders = tuple(api.SenderFact(system, component, 0.2, 200, 0.0) for system in others)
+    radios = (api.RadioFact("fc", 0.5, 1.0),) if radio else ()
+    links = testing.FakeLinks(links=(dataclasses.replace(OPEN, senders=senders),), radios=radios)
+    result = check(**mavlink).run(testing.world(links=links, daemon=testing.FakeSelf(uptime_s=up_s)))
+    assert isinstance(result, api.Result)
+    return result
+
+
+def test_an_autopilot_with_another_id_is_named() -> None:
+    """Also where none is expected: without it, PHM would never say that `agent.id` is wrong."""
+    result = with_other_systems(5)
+    assert (result.level, result.condition, result.brief, result.bypass) == (
+        api.Level.WARN,
+        "autopilot_silent",
+        "autopilot: id 5, agent.id 1",
+        False,
+    )
+    assert "autopilot 5 is received on fc, agent.id is 1: set agent.id (PHM_AGENT_ID) to 5" in result.summary
+    result = with_other_systems(5, autopilot=True)
+    assert (result.level, result.brief) == (api.Level.ERROR, "autopilot: id 5, agent.id 1")
+    assert "set agent.id (PHM_AGENT_ID) to 5" in result.summary and "cable" not in result.summary
+
+
+def test_other_vehicles_are_not_taken_for_the_autopilot() -> None:
+    """Those received by radio or behind a router, several, other components, a ground station; nor anything while PHM starts."""
+    tcp = {"url": "tcp:10.0.0.1:5760", "name": "fc"}
+    results = (
+        with_other_systems(5, radio=True),
+        with_other_systems(5, endpoints=[tcp]),
+        with_other_systems(5, endpoints=[{**tcp, "leads_to": "router"}]),
+        with_other_systems(5, 6),
+        with_other_systems(5, 1),
+        with_other_systems(5, component=191),
+        with_other_systems(255),
+        with_other_systems(5, up_s=10.0),
+    )
+    assert all(result.bypass for result in results)
+    assert with_other_systems(5, endpoints=[{**tcp, "leads_to": "autopilot"}]).level is api.Level.WARN
+
+
 def test_an_autopilot_may_start_after_phm() -> None:
     """It gets its power together with the companion, so PHM waits for it."""
     just_begun = testing.world(links=testing.FakeLinks(links=(OPEN,)), daemon=testing.FakeSelf(uptime_s=10.0))

@@ -174,6 +174,18 @@ PORTS = [
     (errno.EACCES, True, "port: ttyUSB0 no permission", "dialout"),
     (errno.EAGAIN, True, "port: ttyUSB0 in use by mavproxy.py", "mavproxy.py (42)"),
     (errno.EIO, True, "port: ttyUSB0 failed", "driver"),
+    (
+        errno.ENXIO,
+        True,
+        "port: ttyUSB0 failed",
+        "or PHM's container has the old device file: `docker compose up -d --force-",
+    ),
+    (
+        errno.ENODEV,
+        True,
+        "port: ttyUSB0 failed",
+        "or PHM's container has the old device file: `docker compose up -d --force-",
+    ),
 ]
 
 

@@ -62,6 +62,21 @@ def test_an_engine_that_does_not_respond_is_an_error(problem: Exception, conditi
     assert ("group_add" in result.summary) is (condition == "engine_refused")
 
 
+def test_a_socket_that_phm_may_not_open_is_named() -> None:
+    """The group is missing; nothing is wrong with the engine. For recovery it is down all the same, so no attempt is spent."""
+    docker = testing.FakeDocker()
+    docker.fail(api.NoAccess("PHM may not open /var/run/docker.sock (permission denied): add the docker group"))
+    result = Engine().run(testing.world(docker=docker))
+    assert isinstance(result, api.Result)
+    assert (result.level, result.condition, result.brief) == (
+        api.Level.ERROR,
+        "engine_down",
+        "no permission for Docker's socket",
+    )
+    assert "add the docker group" in result.summary
+    assert "does not respond" not in result.summary and "systemctl" not in result.summary
+
+
 def test_a_broken_event_stream_triggers_the_engine_check() -> None:
     """The result must last for a moment: the engine is asked at least twice."""
     (check,) = build(Engine)

@@ -10,7 +10,8 @@ import yaml
 from click.testing import CliRunner, Result
 
 from phm.cli import group
-from phm.setup import ros_nodes
+from phm.setup import discovery, ros_nodes
+from phm.setup.machine import SerialPort
 from tests.fakes.engine import FakeEngine
 from tests.fakes.engine_faults import Status
 from tests.setup.machines import described
@@ -39,6 +40,16 @@ def test_yes_asks_nothing_and_the_result_is_valid(fake: FakeEngine, tmp_path: Pa
     checked = CliRunner().invoke(group, ["validate", str(tmp_path / "phm" / "phm.yaml")])
     assert checked.exit_code == 0 and "1 container," in checked.output
     assert "ROS_DOMAIN_ID=7" in (tmp_path / "phm" / "agent.env").read_text()
+
+
+def test_phm_is_in_the_group_of_the_port_of_its_endpoint(
+    fake: FakeEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also of one that `phm init` lists for no other reason, such as /dev/ttyS0."""
+    monkeypatch.setattr(discovery, "serial_ports", lambda dev, named=(): (SerialPort(path, 20) for path in named))
+    assert init(fake, tmp_path / "phm", "--yes", "--mavlink", "/dev/ttyS0").exit_code == 0
+    made = yaml.safe_load((tmp_path / "phm" / "compose.yaml").read_text())
+    assert "20" in made["services"]["phm"]["group_add"]
 
 
 def test_nothing_is_written_where_the_log_folder_cannot_be_made(fake: FakeEngine, tmp_path: Path) -> None:

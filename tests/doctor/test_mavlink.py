@@ -48,6 +48,13 @@ def test_a_serial_port_must_exist(tmp_path: Path) -> None:
     assert judged(tmp_path, str(tmp_path / "ttyACM0"))[0].state == "ok"
 
 
+def test_a_serial_port_may_be_in_the_mount_of_the_hosts_devices(tmp_path: Path) -> None:
+    """As PHM opens it where `device_cgroup_rules` permit it."""
+    (tmp_path / "dev").mkdir()
+    (tmp_path / "dev" / "phm-no-such-port").touch()
+    assert judged(tmp_path, "/dev/phm-no-such-port")[0].state == "ok"
+
+
 def test_no_endpoint_is_said(tmp_path: Path) -> None:
     """A configuration without endpoints is valid, and the row says so."""
     (only,) = rows(doctor_context(tmp_path))

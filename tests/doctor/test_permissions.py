@@ -36,6 +36,13 @@ def test_no_socket_is_missing(tmp_path: Path) -> None:
     assert row(list(rows(remote)), "socket").state == "ok"
 
 
+def test_the_group_of_the_port_of_an_endpoint_is_compared(tmp_path: Path) -> None:
+    """/dev/ttyS0 is listed for no other reason."""
+    there = doctor_context(tmp_path, mavlink={"endpoints": [{"url": "/dev/ttyS0"}]})
+    (tmp_path / "dev" / "ttyS0").symlink_to("/dev/null")
+    assert "/dev/ttyS0" in next(one.text for one in rows(there) if one.name.startswith("group "))
+
+
 def test_the_group_of_a_serial_port_is_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Root needs no group."""
     there = doctor_context(tmp_path)

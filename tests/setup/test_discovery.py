@@ -92,6 +92,13 @@ def test_each_serial_port_is_listed_once_by_its_stable_name(tmp_path: Path) -> N
     (by_id / "usb-Holybro_Pixhawk6X").symlink_to("../../ttyACM0")
     (tmp_path / "ttyUSB0").write_text("")
     (tmp_path / "ttyUSB1").symlink_to("gone")
-    (port,) = serial_ports(tmp_path)
+    (port,) = serial_ports(tmp_path, ["/dev/ttyACM0", "/dev/ttyS0"])
     assert port.path == "/dev/serial/by-id/usb-Holybro_Pixhawk6X"
     assert port.group_id == Path("/dev/null").stat().st_gid
+
+
+def test_a_port_that_an_endpoint_names_is_listed(tmp_path: Path) -> None:
+    """Not each of /dev/ttyS*: most of them lead nowhere."""
+    (tmp_path / "ttyS0").symlink_to("/dev/null")
+    (tmp_path / "ttyS1").symlink_to("/dev/zero")
+    assert [port.path for port in serial_ports(tmp_path, ["/dev/ttyS0", "/opt/ttyS1"])] == ["/dev/ttyS0"]

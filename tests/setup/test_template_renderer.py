@@ -104,11 +104,25 @@ def test_phm_is_in_the_groups_that_own_socket_and_serial_ports() -> None:
     assert service(made())["group_add"] == ["998", "20"]
 
 
+def test_a_path_with_colons_is_mapped_in_the_long_form() -> None:
+    """As udev names them by the place of the connector. In the short form, Compose takes a colon for the end of the path."""
+    path = "/dev/serial/by-path/platform-fd500000.pcie-pci-0000:01:00.0-usb-0:1.1:1.0"
+    (found,) = service(made(mavlink=path))["devices"]
+    assert found == {"source": path, "target": path, "permissions": "rwm"}
+
+
 def test_a_serial_endpoint_is_mapped_into_the_container() -> None:
     """At the same path."""
     texts = made(mavlink="/dev/ttyACM0")
     assert service(texts)["devices"] == ["/dev/ttyACM0:/dev/ttyACM0"]
     assert settings(texts).mavlink.endpoints[0].serial
+
+
+def test_a_serial_endpoint_that_may_be_missing_has_an_alternative() -> None:
+    """Docker resolves `devices` at every start of the container: a missing port would keep PHM from starting."""
+    text = made(mavlink="/dev/ttyACM0")["compose.yaml"]
+    assert "without the port PHM does not start" in text
+    assert '# device_cgroup_rules:\n    #   - "c 166:* rw"' in text
 
 
 def test_an_engine_reached_over_tcp_needs_no_socket() -> None:

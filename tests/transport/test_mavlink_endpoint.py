@@ -193,6 +193,19 @@ def test_a_serial_port_that_disappears_is_reopened(make_hub: MakeHub, tmp_path: 
         until(lambda: not hub.links()[0].open, "the loss of the port being seen")
 
 
+def test_a_serial_port_is_opened_below_the_mount_of_the_hosts_devices(tmp_path: Path) -> None:
+    """A container without the device in `devices` has it there alone, and its `device_cgroup_rules` permit opening it."""
+    far, near = pty.openpty()
+    (tmp_path / "phm-no-such-port").symlink_to(os.ttyname(near))
+    entry = {"url": "/dev/phm-no-such-port"}
+    hub = MavlinkHub(MavlinkSettings.model_validate({"endpoints": [entry]}), 7, SystemClock(), dev_root=str(tmp_path))
+    hub.start()
+    until(lambda: hub.links() and hub.links()[0].open, "the port opening")
+    hub.close()
+    os.close(far)
+    os.close(near)
+
+
 @contextlib.contextmanager
 def silent_server() -> Iterator[int]:
     """A loopback port on which connecting hangs: the queue of a server that never accepts is full."""

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from phm.facts import CannotTell, NoResponse, NotPermitted
+from phm.facts import CannotTell, NoAccess, NoResponse, NotPermitted
 from phm.testing import FakeClock
 from phm.transport.call_deadlines import CallDeadlines
 from phm.transport.docker import (
@@ -157,8 +157,9 @@ def test_a_forbidden_socket_names_the_required_group(monkeypatch: pytest.MonkeyP
             raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr("phm.transport.docker_http._Socket", Forbidden)
-    with pytest.raises(EngineNotConnected, match="add the docker group with group_add"):
+    with pytest.raises(EngineNotConnected, match="add the docker group with group_add") as refused:
         DockerEngine(f"unix://{tmp_path}/engine.sock").ping()
+    assert isinstance(refused.value, NoAccess)
 
 
 def test_a_tcp_engine_without_a_server_is_unreachable() -> None:
