@@ -78,7 +78,7 @@ class Network(PerContainer):
             return blocked
         found = api.ok(joined([finding.summary for finding in findings]), values=values)
         # A blocked path that was reported before PHM was restarted is not over yet; another fault of its networks is.
-        return found.with_evidence(api.Evidence(subjects=() if self._data_path.unobserved(world) else None))
+        return found.with_evidence(api.Evidence(unobserved_of=_DATA if self._data_path.unobserved(world) else ()))
 
     @property
     def _responds(self) -> bool:

@@ -110,8 +110,9 @@ class Evidence:
     recovered:    this WARN is about something else, and an earlier failure of the unit is over. Not for a weaker level of the same
                   measurement.
     unobserved:   PHM has not observed the subject since its start, and this OK does not say that an earlier failure is over.
-    subjects:     names of those that this bad result is about, or that this OK covers, where an OK of a new PHM may not have observed
-                  all, e.g. agents that are not configured: it must cover all that had failed before. None: this OK covers all.
+    subjects:     names of those that this bad result is about, or that this OK covers, where the unit reports on several that are not
+                  configured: after a restart of PHM an OK must cover all that had failed before. None: this OK covers all.
+    unobserved_of: subjects that this OK does not cover, because PHM has not observed them since its start.
     """
 
     generation: str = ""
@@ -130,6 +131,7 @@ class Evidence:
     recovered: bool = False
     unobserved: bool = False
     subjects: tuple[str, ...] | None = None
+    unobserved_of: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

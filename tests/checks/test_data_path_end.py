@@ -14,6 +14,7 @@ from tests.fakes.data_path_bench import NET, NODES, ROWS, DataPath
 from tests.fakes.tracker_bench import Bench, unit
 
 UNIT = "network/ros_app"
+DATA = ("data from its nodes",)
 
 
 @pytest.fixture
@@ -57,7 +58,7 @@ def test_what_cannot_be_looked_at_does_not_end_a_reported_silence(path: DataPath
     path.ros.work()
     path.ros.change(age_s=0.0, up_s=60.0)
     result = path.later(5.0, 0.1, 9.0)
-    assert (result.level, result.evidence.subjects) == (api.Level.OK, None)
+    assert (result.level, result.evidence.unobserved_of) == (api.Level.OK, ())
 
 
 def test_unreachable_nodes_stay_reported_while_one_computes(path: DataPath) -> None:
@@ -89,27 +90,27 @@ def test_names_of_nodes_that_a_new_child_receives_end_a_reported_silence(path: D
 def test_after_a_restart_of_phm_silence_does_not_end_a_fault(path: DataPath, received: str) -> None:
     """A new check does not know that the path was cut off, so it states what its OK does not cover."""
     reported = path.later(20.0, 4.5, 4.6)
-    assert reported.evidence.subjects == ("data from its nodes",)
+    assert reported.evidence.subjects == DATA
     restarted(path)
     path.ros.change(up_s=0.5, nodes={}, beacons={})
     for _ in range(3):
         path.clock.advance(5.0)
         result = path.observe()
-        assert (result.level, result.evidence.subjects) == (api.Level.OK, ())
+        assert (result.level, result.evidence.unobserved_of) == (api.Level.OK, DATA)
     path.clock.advance(5.0)
     path.ros.change(nodes={NODES[0]: 1})
     if received == "a beacon":
         path.receive(0.1, 14.0)
     result = path.observe()
-    assert (result.level, result.evidence.subjects) == (api.Level.OK, None)
+    assert (result.level, result.evidence.unobserved_of) == (api.Level.OK, ())
 
 
 def test_after_a_reload_old_data_do_not_end_a_fault(path: DataPath) -> None:
     """The ROS child stays, with names and data from before."""
     path.later(20.0, 4.5, 4.6)
     restarted(path)
-    assert path.later(5.0, 9.0, 9.0).evidence.subjects == ()
-    assert path.later(5.0, 0.1, 14.0).evidence.subjects is None
+    assert path.later(5.0, 9.0, 9.0).evidence.unobserved_of == DATA
+    assert path.later(5.0, 0.1, 14.0).evidence.unobserved_of == ()
 
 
 def next_run(path: DataPath, reported: api.Result) -> Bench:
