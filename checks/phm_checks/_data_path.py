@@ -56,28 +56,60 @@ class DataPath:
         self._ends = {node.name: NodeTopics.of(node.name, settings.ros.topics) for node in self._wanted}
         self._generation, self._met_at = "", 0.0
         self._cut_at = 0.0
-        """The last sign of life before they were reported as cut off came at this moment at the latest."""
+        """The last sign of life before they were reported as cut off came at this moment at the latest; before a report, PHM's first look
+        at this run of the container."""
+        self._received_since = False
+        """Whether a later one was seen, or another cause of their silence."""
+        self.cut = False
+        """Whether they were reported as cut off in this run of the container, and neither was seen since."""
         self._pause_s, self._paused_at = 0.0, 0.0
         """Duration of the last silence of all nodes that ended by itself, and when it ended."""
         self._blocked_generation = ""
-        """The container generation in which the path was last blocked; cleared when data is received in another generation."""
-        self._blocked = False
-        """Whether the path was blocked at the last look."""
+        """The container generation in which they were last cut off; cleared when data is received in another generation."""
         self.never_received = False
         """For the last non-empty result of `why`: whether nothing was ever received in this container generation."""
 
     def why(self, world: api.World, generation: str) -> str:
         """The evidence as text; empty while anything is received, or if the state is unknown. generation: the container's current one."""
-        why = self._why(world, generation)
-        self._blocked = bool(why)
-        if why:
-            self._blocked_generation = generation
-        return why
+        if generation != self._generation:
+            self._generation, self._met_at = generation, world.clock.mono()
+            self._cut_at, self._received_since, self.cut = self._met_at, False, False
+        return self._why(world)
 
     def interrupted(self) -> None:
-        """The container is paused or has ended: the silence of that time says nothing about the path, unless it was blocked just before."""
-        if not self._blocked:
+        """The container is paused or has ended: the silence of that time says nothing about the path, unless they were cut off just before."""
+        if not self.cut:
             self._generation = ""
+
+    def unobserved(self, world: api.World) -> bool:
+        """Whether nothing has shown yet that data arrive, since PHM's first look at this run of the container or since they were reported as
+        cut off. Call after `why` and `absent`, if both are empty."""
+        if len(self._wanted) < WITNESSES:
+            return False
+        if not self._received_since:
+            self._received_since = self._explained(world)
+            self.cut = self.cut and not self._received_since
+        return not self._received_since
+
+    def _explained(self, world: api.World) -> bool:
+        """Whether something was received since, here or by another node, or a process has ended or is stopped."""
+        try:
+            fact = world.ros.snapshot()
+            if fact.age_s > OLD_SNAPSHOT_S:
+                return False
+            ages = [sign.age_s - fact.age_s for node in self._wanted for sign in self._signs(node, fact)]
+            if any(world.clock.mono() - age_s > self._cut_at for age_s in ages):
+                return True
+            # Names arrive as data: a child that has received nothing else, e.g. a new one, has received these since.
+            named = not ages and any(fact.nodes.get(node.name) for node in self._wanted)
+            return named or self._others_receive(fact) or not self._state(world)
+        except api.CannotTell:
+            return False
+
+    def _report(self, world: api.World, silent_s: float) -> None:
+        """They are reported as cut off, after silence of this duration."""
+        self._blocked_generation = self._generation
+        self._cut_at, self._received_since, self.cut = world.clock.mono() - silent_s + NOISE_S, False, True
 
     def waiting(self, world: api.World, generation: str) -> bool:
         """Whether the path was blocked in the previous generation and it is not yet known if data arrives in this one. Call after `why`."""
@@ -97,12 +129,10 @@ class DataPath:
         ages = (self._silent_s(node, fact) for node in self._wanted)
         return any(age is not None and now - age > self._met_at for age in ages)
 
-    def _why(self, world: api.World, generation: str) -> str:
+    def _why(self, world: api.World) -> str:
         if len(self._wanted) < WITNESSES:
             return ""
         now = world.clock.mono()
-        if generation != self._generation:
-            self._generation, self._met_at = generation, now
         try:
             fact = world.ros.snapshot()
         except api.CannotTell:
@@ -113,13 +143,15 @@ class DataPath:
         # Data from before this generation came from other processes, whose names may stay listed until their lease ends.
         in_this_generation = silent and now - max(silent) > self._met_at
         if in_this_generation and len(silent) >= WITNESSES and (silent_s := self._cut_off_s(world, fact, silent)):
-            self.never_received, self._cut_at = False, world.clock.mono() - silent_s + NOISE_S
+            self.never_received = False
+            self._report(world, silent_s)
             return (
                 f"nothing received from any of its {len(silent)} nodes for {span(silent_s)}, though discovery lists them and "
                 "their processes are running"
             )
         if not silent and now - self._met_at > self._grace_s and self._nameless(fact) and self._run(world):
             self.never_received = True
+            self._report(world, 0.0)
             return (
                 f"publishers are discovered, but neither their node names nor a sample has been received for {span(fact.up_s)}, though "
                 f"the processes of {listed([node.short for node in self._wanted], 3)} are running"
@@ -176,8 +208,10 @@ class DataPath:
         if self._others_receive(fact) or not self._all_overdue(fact, listed_only=False):
             return ""
         silent_s = min(received) - fact.age_s
-        if silent_s < ABSENT_S or now - silent_s < self._met_at or self._run(world) != ASLEEP:
+        running = (ASLEEP, AWAKE) if self.cut else (ASLEEP,)
+        if silent_s < ABSENT_S or now - silent_s < self._met_at or self._run(world) not in running:
             return ""
+        self._report(world, silent_s)
         return (
             f"none of its {len(self._wanted)} nodes is listed, and nothing has been received from them for {span(silent_s)}, "
             "though their processes are running"
@@ -224,9 +258,13 @@ class DataPath:
         """AWAKE or ASLEEP if each node has at least one process, not shared, and none is stopped; otherwise empty. Called only if there
         is a reason."""
         try:
-            processes = world.docker.processes(self._key)
+            return self._state(world)
         except api.CannotTell:
             return ""
+
+    def _state(self, world: api.World) -> str:
+        """The same; raises CannotTell."""
+        processes = world.docker.processes(self._key)
         found, _ = match(self._wanted, processes, {})
         every = repeated(self._wanted, processes, found) | {name: [one.process] for name, one in found.items()}
         states = [one.state[:1] for own in every.values() for one in own]

@@ -55,6 +55,8 @@ _SHOWN = {
     api.CgroupState.EMPTY: "has ended: its cgroup has no process",
     api.CgroupState.REMOVED: "has ended or was replaced: its cgroup was removed",
 }
+_STABLE = ("a run without a restart",)
+"""`Evidence.subjects` of a restart loop."""
 
 
 class Container(PerContainer):
@@ -191,7 +193,7 @@ class Container(PerContainer):
                 f"{span(starts.steady_s)} in between, expected to stay up. PHM leaves it to its restart policy or operator; see "
                 f"`docker logs {fact.name}`"
             )
-            return self._bad("restarting", words, "crash loop", values)
+            return self._bad("restarting", words, "crash loop", values).with_evidence(api.Evidence(subjects=_STABLE))
         if starts.by_engine and not starts.steady:
             return api.warn(
                 f"{self.key} exited, and Docker restarted it by its restart policy (restart {fact.restart_count}); it has "
@@ -209,7 +211,9 @@ class Container(PerContainer):
                 condition="restarts_rising",
                 values=values,
             ).with_evidence(api.Evidence(forecast=True))
-        return api.ok(f"Container {self.key} is running", values=values)
+        # After a restart of PHM, a restart loop is over when a run has lasted.
+        evidence = api.Evidence(unobserved_of=() if starts.steady else _STABLE)
+        return api.ok(f"Container {self.key} is running", values=values).with_evidence(evidence)
 
     def _stopped(self, fact: api.ContainerFact, values: dict[str, api.Value]) -> api.Result:
         key, status = self.key, fact.status
@@ -243,7 +247,7 @@ class Container(PerContainer):
             f"{self.key} exits repeatedly; Docker waits before restarting it (restart {fact.restart_count}; last {ended})."
             f"{said} PHM leaves it to Docker's restart policy; see `docker logs {fact.name}`"
         )
-        return self._bad("restarting", words, "crash loop", values)
+        return self._bad("restarting", words, "crash loop", values).with_evidence(api.Evidence(subjects=_STABLE))
 
     def _exited(self, fact: api.ContainerFact, said: str, values: dict[str, api.Value]) -> api.Result:
         if fact.oom_killed:

@@ -34,6 +34,8 @@ class _Known:
     numbers: tuple[int, int, int] | None
     """Major, minor and inode; None if it was missing."""
     away: bool = False
+    seen_start: bool = False
+    """The container was started in this run of PHM: no change since then is unknown."""
 
 
 class Devices(PerContainer):
@@ -74,9 +76,15 @@ class Devices(PerContainer):
         if first.level is api.Level.OK:
             said = joined([finding.summary for finding in findings])
             count = "1 device" if len(findings) == 1 else f"{len(findings)} devices"
-            return api.ok(f"Found {count} in container {self.key}: {said}", values=values)
+            unknown = tuple(name for finding in findings for name in finding.evidence.unobserved_of)
+            found = api.ok(f"Found {count} in container {self.key}: {said}", values=values)
+            return found.with_evidence(api.Evidence(unobserved_of=unknown))
         summary = joined([finding.summary for finding in findings if finding.level is not api.Level.OK])
-        return api.Result(first.level, summary, combined(findings), first.condition, first.target, values)
+        lost = tuple(name for finding in findings for name in finding.evidence.subjects or ())
+        evidence = api.Evidence(subjects=lost or None)
+        return api.Result(
+            first.level, summary, combined(findings), first.condition, first.target, values, evidence=evidence
+        )
 
     def _container(self, world: api.World) -> tuple[api.ContainerFact | None, str]:
         """The container, or None and why its mapping cannot be checked."""
@@ -140,15 +148,22 @@ class Devices(PerContainer):
                 problem = f"it appears there as {listed(names)}, expected {inside}"
         elif not container.privileged:
             problem = self._through_mount(wanted.path, fact, container)
+        # A stopped container gets a new copy of the device file at its start.
         used = inside or (_shown(mapped[0], wanted.path) if mapped else wanted.path)
-        if not problem and self._lost(wanted.path, used, container):
+        copied = container.status in ("running", "paused") and not _follows_host(wanted.path, used, container)
+        copy = (f"{wanted.path} in the run since {container.started_at}",)
+        if not problem and copied and self._known[wanted.path].away:
             words = (
                 f"{wanted.path} was disconnected and is back, but {self.key} still has the old device file from its start: "
                 f"restart {self.key} so that it can use the device again"
             )
-            return self._bad(wanted.path, words, "replugged, not usable", "device_replugged")
+            lost = self._bad(wanted.path, words, "replugged, not usable", "device_replugged")
+            return lost.with_evidence(api.Evidence(subjects=copy))
         if not problem:
-            return api.ok(f"{found}, mapped into {self.key}")
+            # A PHM that was restarted does not know whether it was replaced before.
+            known = not copied or self._known[wanted.path].seen_start
+            evidence = api.Evidence(unobserved_of=() if known else copy)
+            return api.ok(f"{found}, mapped into {self.key}").with_evidence(evidence)
         words = f"{wanted.path} exists, but {self.key} cannot use it: {problem}"
         return self._bad(wanted.path, words, "not in container", "device_unmapped")
 
@@ -164,17 +179,12 @@ class Devices(PerContainer):
             return False
         return other is not None and other.character and (other.major, other.minor) == (fact.major, fact.minor)
 
-    def _lost(self, path: str, inside: str, container: api.ContainerFact) -> bool:
-        """Whether the container has an outdated copy of the device file. A stopped container gets a new one at its start."""
-        alive = container.status in ("running", "paused")
-        return alive and self._known[path].away and not _follows_host(path, inside, container)
-
     def _remember(self, path: str, fact: api.DeviceFact | None, container: api.ContainerFact) -> None:
         """Track changes of a device. Docker copies its file when the container starts, so a replaced device needs a restart."""
         numbers = (fact.major, fact.minor, fact.inode) if fact is not None else None
         known = self._known.get(path)
         if known is None or known.generation != container.generation:
-            self._known[path] = _Known(container.generation, numbers)
+            self._known[path] = _Known(container.generation, numbers, seen_start=known is not None)
         elif numbers is None or numbers != known.numbers:
             known.away = True
 

@@ -53,6 +53,10 @@ class EvaluatedStatus:
     words: str = ""
     short: str = ""
 
+    @property
+    def subject(self) -> str:
+        return f"{clean(self.name, 120)}{_hardware(self.fact)}"
+
 
 class Diagnostics(api.Check):
     """All watched statuses, one unit per entry with the worst status that matches it."""
@@ -67,6 +71,8 @@ class Diagnostics(api.Check):
         self._generations: dict[str, str] = {}
         self._began_s: dict[str, float] = {}
         self._asked_s: dict[str, float] = {}
+        self._not_ok: dict[str, tuple[float, frozenset[str]]] = {}
+        """By unit: the statuses that were not OK last, and when the run of the container began in which they were not."""
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
@@ -117,19 +123,37 @@ class Diagnostics(api.Check):
         healthy = bool(evaluated) and all(one.level is Level.OK for one in evaluated)
         began_s = self._container_began(world, item.container, healthy)
         # A status received before the container restarted need not come again.
-        evaluated = [one for one in evaluated if one.fact.age_s <= world.clock.mono() - began_s]
+        ran_s = world.clock.mono() - began_s
+        evaluated = [one for one in evaluated if one.fact.age_s <= ran_s]
         if not evaluated:
-            return self._not_received(item, fact, world.clock.mono() - began_s)
+            return self._not_received(item, fact, ran_s)
         worst = max(evaluated, key=lambda one: one.level.severity)
         if worst.level is Level.OK:
-            return api.ok(_ok_summary(evaluated), values={"received": len(evaluated)})
-        return _bad(worst, evaluated, item.container)
+            return self._ok(item, evaluated, began_s, early=self._early(item, fact, ran_s))
+        found = _bad(worst, evaluated, item.container)
+        self._not_ok[item.unit] = (began_s, frozenset(found.evidence.subjects or ()))
+        return found
+
+    def _early(self, item: Watched, fact: api.RosFact, ran_s: float) -> bool:
+        """Whether a status may not have been received yet. `ran_s`: how long its container has run, if known."""
+        return min(fact.up_s, ran_s) < self._grace_s or min(fact.listened_for_s, ran_s) < item.entry.timeout
+
+    def _ok(self, item: Watched, evaluated: Sequence[EvaluatedStatus], began_s: float, *, early: bool) -> api.Result:
+        """The result when all that were received are OK. A new ROS child or PHM may not have received yet what was not."""
+        received = tuple(one.subject for one in evaluated)
+        before_s, not_ok = self._not_ok.get(item.unit, (began_s, frozenset()))
+        missing = sorted(not_ok.difference(received)) if early and before_s == began_s else []
+        if missing:
+            return api.stale(f"{listed(missing)}: not received again yet. {_ok_summary(evaluated)}")
+        self._not_ok.pop(item.unit, None)
+        found = api.ok(_ok_summary(evaluated), values={"received": len(evaluated)})
+        return found.with_evidence(api.Evidence(subjects=received if early else None))
 
     def _not_received(self, item: Watched, fact: api.RosFact, ran_s: float) -> api.Result:
         """The result without any matching status. `ran_s`: how long its container has run, if known."""
         entry = item.entry
-        listened_s = min(fact.listened_for_s, ran_s)
-        if min(fact.up_s, ran_s) < self._grace_s or listened_s < entry.timeout:
+        if self._early(item, fact, ran_s):
+            listened_s = min(fact.listened_for_s, ran_s)
             return api.stale(
                 f"no status {clean(entry.name, 80)} received yet; PHM has listened for only {span(listened_s)}"
             )
@@ -203,7 +227,7 @@ def _ok_summary(evaluated: Sequence[EvaluatedStatus]) -> str:
 
 
 def _bad(worst: EvaluatedStatus, evaluated: Sequence[EvaluatedStatus], container: str) -> api.Result:
-    hardware = f" (hardware id {clean(worst.fact.hardware_id, 60)})" if worst.fact.hardware_id else ""
+    hardware = _hardware(worst.fact)
     others = [one.name for one in evaluated if one.level is not Level.OK and one is not worst]
     more = f" Also not OK: {listed(others)}." if others else ""
     theirs = {clean(key, 60): clean(value, 120) for key, value in list(worst.fact.values.items())[:VALUES]}
@@ -222,4 +246,9 @@ def _bad(worst: EvaluatedStatus, evaluated: Sequence[EvaluatedStatus], container
         worst.condition,
         container,
         values,
+        evidence=api.Evidence(subjects=tuple(one.subject for one in evaluated if one.level is not Level.OK)),
     )
+
+
+def _hardware(fact: api.DiagnosticFact) -> str:
+    return f" (hardware id {clean(fact.hardware_id, 60)})" if fact.hardware_id else ""

@@ -15,6 +15,8 @@ from phm_checks._text import brief, clean, combined, joined, listed
 _BY_CAUSE = ("network_missing", "no_network", "disconnected", "sidecar_disconnected", "address_silent")
 """Causes before consequences: the first of these found is the condition of the unit."""
 _BLOCKED = "Look for a firewall, or for shared memory without a shared /dev/shm (set FASTDDS_BUILTIN_TRANSPORTS=UDPv4)"
+_DATA = ("data from its nodes",)
+"""`Evidence.subjects` of a path that is cut off."""
 GRACE_S = 3.0
 """PHM joins the networks after its own start; until then being disconnected is not a fault."""
 
@@ -72,7 +74,11 @@ class Network(PerContainer):
             return api.Result(
                 first.level, summary, combined(bad), first.condition, self.key, values, evidence=first.evidence
             )
-        return self._blocked(world, fact) or api.ok(joined([finding.summary for finding in findings]), values=values)
+        if (blocked := self._blocked(world, fact)) is not None:
+            return blocked
+        found = api.ok(joined([finding.summary for finding in findings]), values=values)
+        # A blocked path that was reported before PHM was restarted is not over yet; another fault of its networks is.
+        return found.with_evidence(api.Evidence(unobserved_of=_DATA if self._data_path.unobserved(world) else ()))
 
     @property
     def _responds(self) -> bool:
@@ -88,11 +94,13 @@ class Network(PerContainer):
                 f"{self.key} is connected{' and responds' if self._responds else ''}, but {absent}: {step}; PHM restarts nothing for this",
                 "nodes unreachable",
                 "nodes_unreachable",
-            )
+            ).with_evidence(api.Evidence(subjects=_DATA))
         if not why and self._data_path.waiting(world, fact.generation):
             return api.stale(
                 f"{self.key} is connected; its transport was blocked before it was restarted, and nothing has been received from its nodes since"
             )
+        if not why and self._data_path.unobserved(world) and self._data_path.cut:
+            return api.stale(f"{self.key} is connected; it is not known whether data arrive again from its nodes")
         if not why:
             return None
         cause = (
@@ -109,7 +117,7 @@ class Network(PerContainer):
         )
         # Without an address check the fault may be on PHM's side of the network: no recovery target.
         target = found.target if self._responds else ""
-        return replace(found, evidence=api.Evidence(never_ok=never), target=target)
+        return replace(found, evidence=api.Evidence(never_ok=never, subjects=_DATA), target=target)
 
     def _mode(self, fact: api.ContainerFact) -> api.Result | None:
         """The result for network modes in which a container has no network itself; None for other modes."""

@@ -123,6 +123,7 @@ class Evidence:
     unobserved:   PHM has not observed the subject since its start, and this OK does not say that an earlier failure is over.
     subjects:     names of those that this bad result is about, or that this OK covers, where the unit reports on several that are not
                   configured: after a restart of PHM an OK must cover all that had failed before. None: this OK covers all.
+    unobserved_of: subjects that this OK does not cover, because PHM has not observed them since its start.
     """
 
     generation: str = ""
@@ -141,6 +142,7 @@ class Evidence:
     recovered: bool = False
     unobserved: bool = False
     subjects: tuple[str, ...] | None = None
+    unobserved_of: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

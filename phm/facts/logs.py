@@ -27,10 +27,12 @@ class LogMemory:
 
     found: by pattern, when it was last found (monotonic seconds), how often since it was quiet, and the newest line.
     generation: of the container that recovery acts on, see `ContainerFact.generation`.
+    begun: when the log was first read (monotonic seconds), or less if what was found before does not count any more; None: never.
     """
 
     found: dict[str, tuple[float, int, str]] = field(default_factory=dict)
     generation: str = ""
+    begun: float | None = None
 
 
 class LogProbe(Protocol):

@@ -187,10 +187,10 @@ class UnitRecord:
 
     def not_observed(self, result: Result) -> frozenset[str]:
         """What failed before PHM was restarted, if this is an OK that does not cover it."""
-        covered = result.evidence.subjects
-        if covered is None or result.level is not Level.OK:
+        if not self.restored_subjects or result.level is not Level.OK:
             return frozenset()
-        return self.restored_subjects.difference(covered)
+        covered, missing = result.evidence.subjects, self.restored_subjects.intersection(result.evidence.unobserved_of)
+        return missing if covered is None else missing | self.restored_subjects.difference(covered)
 
     def update_condition(self, result: Result) -> None:
         """The problem has changed: update the fault that is open or was given up."""

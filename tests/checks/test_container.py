@@ -282,6 +282,19 @@ def test_stale_turns_into_an_error_while_the_engine_backs_off() -> None:
     assert level_and_condition(loop.stays(WAIT_S)) == [("ERROR", "restarting")]
 
 
+def test_after_a_restart_of_phm_a_restart_loop_lasts_until_a_run_is_long() -> None:
+    """The container happens to be running then."""
+    before, loop = Loop(), Loop()
+    before.observe()
+    before.count = 4
+    reported = before.runs().evidence.subjects
+    assert reported == before.waits().evidence.subjects == ("a run without a restart",)
+    loop.count = 4
+    first, early, late = loop.runs(), loop.stays(STABLE_S - 1), loop.stays(1)
+    assert [found.evidence.unobserved_of for found in (first, early, late)] == [reported, reported, ()]
+    assert level_and_condition(first, early, late) == [("OK", "")] * 3
+
+
 def test_long_runs_are_no_restart_loop() -> None:
     """A process that terminates once an hour is restarted by the engine, with one warning each time."""
     loop = Loop()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -11,58 +10,7 @@ import pytest
 
 from phm import api, testing
 from phm_checks.network import Network
-
-NET = "swarm_net"
-NODES = ("/a/one", "/a/two")
-ROWS = tuple(api.ProcessFact(10 + k, 1, "S", 1.0, f"node --name {name[3:]}") for k, name in enumerate(NODES))
-
-
-class AdvancingClock(testing.FakeClock):
-    """A clock whose `wait` advances the time and applies what happens in the meantime."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.meanwhile: Callable[[float], None] = lambda seconds: None
-        self.waits = 0
-
-    def wait(self, event: threading.Event, timeout_s: float | None) -> bool:
-        self.waits += 1
-        self.advance(timeout_s or 0.0)
-        self.meanwhile(timeout_s or 0.0)
-        return event.is_set()
-
-
-class DataPath:
-    """A container with two nodes whose beacons are received; the check has seen this container generation."""
-
-    def __init__(self, *, address: bool = True) -> None:
-        """address: whether the check pings the container."""
-        self.clock = AdvancingClock()
-        fact = testing.container("ros_app", networks=(api.Attachment(NET, "id-1", "172.20.0.3"),))
-        self.docker = testing.FakeDocker(fact, networks={NET: "id-1"})
-        self.docker.lists["ros_app"] = ROWS
-        self.ros = testing.FakeRos(up_s=60.0, age_s=0.0)
-        self.receive(0.1, 0.2)
-        made = testing.settings(
-            containers=[{"name": "ros_app", "networks": [NET], "address": address}],
-            ros={"nodes": [{"name": name} for name in NODES]},
-        )
-        (self.check,) = Network.build(made)
-        assert self.observe().level is api.Level.OK
-
-    def receive(self, *ages_s: float) -> None:
-        beacons = {name: api.BeaconFact(age_s, 0.2) for name, age_s in zip(NODES, ages_s, strict=False)}
-        self.ros.change(nodes=dict.fromkeys(NODES, 1), beacons=beacons)
-
-    def observe(self) -> api.Result:
-        result = self.check.run(testing.world(docker=self.docker, ros=self.ros, clock=self.clock))
-        assert isinstance(result, api.Result)
-        return result
-
-    def later(self, seconds: float, *ages_s: float) -> api.Result:
-        self.clock.advance(seconds)
-        self.receive(*ages_s)
-        return self.observe()
+from tests.fakes.data_path_bench import NET, NODES, ROWS, DataPath
 
 
 @pytest.fixture
@@ -409,7 +357,8 @@ def test_an_address_that_is_not_checked_is_not_said_to_respond() -> None:
 )
 def test_nodes_that_are_missing_for_another_reason_are_their_own_faults(path: DataPath, why: str) -> None:
     """They are starting, have terminated, or come and go."""
-    path.later(1.0 if why == "a recent start" else 20.0, *((1.0, 1.1) if why == "not long enough" else (4.5, 4.6)))
+    path.clock.advance(1.0 if why == "a recent start" else 20.0)
+    path.receive(*((1.0, 1.1) if why == "not long enough" else (4.5, 4.6)))
     path.ros.change(nodes={NODES[1]: 1} if why == "one is listed" else {}, up_s=3.0 if why == "a young child" else 60.0)
     if why in ("one process ended", "one computes"):
         path.docker.lists["ros_app"] = (

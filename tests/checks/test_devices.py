@@ -216,6 +216,22 @@ def test_a_replugged_device_is_available_where_dev_is_bind_mounted(container: di
     assert evaluate(check, devices, **container).level is api.Level.OK
 
 
+def test_after_a_restart_of_phm_a_replugged_device_may_still_be_lost() -> None:
+    """Only a new run of the container, or its view of the host's /dev, shows that it is not."""
+    check, devices = build(), there(inode=7)
+    evaluate(check, devices)
+    devices.put(PATH, major=166, inode=8)
+    lost = evaluate(check, devices).evidence.subjects
+    assert lost == (f"{PATH} in the run since 2026-01-01T00:00:00.000000001Z",)
+    check = build()
+    assert evaluate(check, devices).evidence.unobserved_of == lost
+    shared = {"mounts": (api.Mount("bind", "/dev", "/dev"),), "privileged": True}
+    assert evaluate(check, devices, **shared).evidence.unobserved_of == ()
+    assert evaluate(check, devices, started_at="later").evidence.unobserved_of == ()
+    other = evaluate(build(), devices, started_at="later").evidence.unobserved_of
+    assert other and other != lost, "PHM was not running when the container was restarted"
+
+
 def test_a_device_that_need_not_be_mapped_is_checked_on_the_host_only() -> None:
     """`mapped: false` ignores the container."""
     assert evaluate(build(mapped=False), there(), devices=()).level is api.Level.OK

@@ -126,6 +126,39 @@ def test_restarts_of_the_ros_child_do_not_hide_a_missing_status_permanently() ->
     assert evaluate(check, old).level is api.Level.ERROR
 
 
+@pytest.mark.parametrize("ended", ["received", "patience", "container restarted"])
+def test_a_new_ros_child_does_not_end_what_it_has_not_received(ended: str) -> None:
+    """Of two statuses that match, the one that is OK may arrive first."""
+    clock, docker = testing.FakeClock(), testing.FakeDocker(testing.container("ros_app"))
+    ros = testing.FakeRos(diagnostics={"camera: One": status(), "camera: Two": status(2, hardware_id="b")})
+    world = testing.world(clock=clock, docker=docker, ros=ros)
+    check = build(name="camera: *")
+    assert evaluate(check, world).evidence.subjects == ("camera: Two (hardware id b)",)
+    clock.advance(GENERATION_S)
+    ros.change(up_s=1.0, diagnostics={"camera: One": status()})
+    result = evaluate(check, world)
+    assert result.level is api.Level.STALE and "camera: Two (hardware id b): not received again yet" in result.summary
+    ros.change(up_s=2.0)
+    assert evaluate(check, world).level is api.Level.STALE
+    if ended == "received":
+        ros.change(diagnostics={"camera: One": status(), "camera: Two": status(hardware_id="b")})
+    elif ended == "patience":
+        ros.change(up_s=8.0)
+    else:
+        clock.advance(GENERATION_S)
+        docker.change("ros_app", started_at="2026-02-02T00:00:00Z")
+        evaluate(check, world)
+        clock.advance(1.0)
+    assert evaluate(check, world).level is api.Level.OK
+
+
+def test_after_a_restart_of_phm_an_early_ok_covers_what_was_received() -> None:
+    """What failed before may not have been received yet; after the patience the OK is about all."""
+    early, late = (testing.world(ros=testing.FakeRos(up_s=s, diagnostics={NAME: status()})) for s in (7.0, 8.0))
+    check = build(name="camera: *")
+    assert [evaluate(check, world).evidence.subjects for world in (early, late)] == [(NAME,), None]
+
+
 def test_a_similar_name_is_suggested() -> None:
     """It helps to find `Freqency` in the configuration."""
     world = testing.world(ros=testing.FakeRos(diagnostics={NAME: status()}))

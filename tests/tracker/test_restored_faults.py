@@ -150,6 +150,20 @@ def test_a_second_restart_does_not_forget_the_first_loss() -> None:
     assert after.closed == [(SWARM, Outcome.RESOLVED, ITSELF)]
 
 
+def test_an_ok_that_does_not_cover_what_failed_ends_nothing() -> None:
+    """It names what it has not observed; another failure is over."""
+    for subject, level in (("a long run", Level.STALE), ("another", Level.OK)):
+        before = Bench([unit(UNIT)])
+        before.all_healthy()
+        before.see(UNIT, BAD.with_evidence(Evidence(subjects=("a long run",))))
+        bench = next_run(before)
+        bench.see(UNIT, OK.with_evidence(Evidence(unobserved_of=(subject,))))
+        assert (bench.level(UNIT), len(open_fault(bench))) == (level, 1 if level is Level.STALE else 0)
+        bench.later(1)
+        bench.see(UNIT, OK)
+        assert bench.closed == [(UNIT, Outcome.RESOLVED, ITSELF)]
+
+
 def test_each_lost_agent_must_be_received() -> None:
     bench = restarted_without(3, 4, 5)
     bench.see(SWARM, received(a2=ALIVE, a3=ALIVE, a5=ALIVE))

@@ -31,6 +31,7 @@ class Finding:
     text: str
     short: str = ""
     values: Mapping[str, api.Value] = field(default_factory=dict)
+    evidence: api.Evidence = field(default_factory=api.Evidence)
 
 
 def good(text: str, **values: api.Value) -> Finding:
@@ -88,12 +89,12 @@ class CustomCheck(api.Check):
         text = f"{self.subject}: {clean(found.text, 300)}"
         if found.level is Level.OK:
             self._shown = (Level.OK, "", 0.0)
-            return api.ok(text, values=found.values)
+            return api.ok(text, values=found.values).with_evidence(found.evidence)
         level = Level.WARN if self.entry.level == "warn" else found.level
         words = f"{text}. {clean(self.entry.advice)}" if self.entry.advice else text
         short = brief(self.entry.brief or brief(self.subject, found.short))
         line = self._steady(level, short, world.clock.mono())
-        return api.Result(level, words, line, FAILED, self._acts_on, found.values)
+        return api.Result(level, words, line, FAILED, self._acts_on, found.values, evidence=found.evidence)
 
     def _steady(self, level: Level, line: str, now_s: float) -> str:
         """The line that is shown already, if the new one differs in numbers alone."""

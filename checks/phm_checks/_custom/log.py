@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 from phm import api
@@ -28,6 +29,7 @@ class Log(CustomCheck):
             container=entry.container or "",
         )
         now = world.clock.mono()
+        memory.begun = now if memory.begun is None else memory.begun
         numbers = {one.pattern: number for number, one in enumerate(entry.patterns)}
         for pattern, seen in list(memory.found.items()):
             if pattern not in numbers or now - seen[0] >= entry.quiet:
@@ -37,16 +39,26 @@ class Log(CustomCheck):
                 memory.found[one.pattern] = (now, count + memory.found.get(one.pattern, (0.0, 0, ""))[1], line)
         if self._restarted(world, memory):
             memory.found.clear()
+            memory.begun = float("-inf")
         values: dict[str, api.Value] = {"lines": fact.lines}
         if fact.skipped:
             values["skipped_bytes"] = fact.skipped
         if not memory.found:
-            return Finding(Level.OK, f"no pattern found in {fact.lines} new lines", values=values)
+            # After a restart of PHM, what was found before counts until the log has been quiet.
+            evidence = api.Evidence(unobserved_of=self._without(numbers) if now - memory.begun < entry.quiet else ())
+            return Finding(Level.OK, f"no pattern found in {fact.lines} new lines", values=values, evidence=evidence)
         first = min(map(numbers.__getitem__, memory.found), key=lambda one: (entry.patterns[one].level == "warn", one))
         pattern, level = entry.patterns[first].pattern, entry.patterns[first].level
         _, count, line = memory.found[pattern]
         text = f"{pattern[:80]!r} found, expected not within {span(entry.quiet)}; newest line: {line[:200]}"
-        return Finding(Level.WARN if level == "warn" else Level.ERROR, text, "log match", {**values, "matches": count})
+        found = Level.WARN if level == "warn" else Level.ERROR
+        return Finding(
+            found, text, "log match", {**values, "matches": count}, api.Evidence(subjects=self._without(memory.found))
+        )
+
+    def _without(self, patterns: Iterable[str]) -> tuple[str, ...]:
+        """`Evidence.subjects` of matches: with another log or pattern the failure is over."""
+        return tuple(f"{self.entry.path or self.entry.container} without {pattern[:80]!r}" for pattern in patterns)
 
     def _restarted(self, world: api.World, memory: api.LogMemory) -> bool:
         """Whether the container that recovery acts on was started since the last run. What was found until now is of its former

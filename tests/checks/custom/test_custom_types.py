@@ -179,6 +179,25 @@ def test_a_found_pattern_is_a_failure_until_it_is_quiet() -> None:
     assert check.failures == 1, "a second look would find nothing new"
 
 
+def test_after_a_restart_of_phm_a_match_counts_until_the_log_is_quiet() -> None:
+    """A reload remembers for how long it has been."""
+    clock, logs, new = testing.FakeClock(), testing.FakeLogs(), testing.FakeLogs()
+    wanted = {"type": "log", "path": "/app.log", "patterns": [{"pattern": "ERROR"}], "quiet": 60}
+    logs.lines["x"] = ["ERROR a"]
+    found = run(build(**wanted), clock=clock, logs=logs).evidence.subjects
+    assert found == ("/app.log without 'ERROR'",)
+    first = run(build(**wanted), clock=clock, logs=new)
+    clock.advance(59)
+    early = run(build(**wanted), clock=clock, logs=new)
+    clock.advance(1)
+    late = run(build(**wanted), clock=clock, logs=new)
+    assert [each.evidence.unobserved_of for each in (first, early, late)] == [found, found, ()]
+    assert {each.level for each in (first, early, late)} == {OK}
+    for changed in ({"path": "/b.log"}, {"patterns": [{"pattern": "FATAL"}]}):
+        other = run(build(**{**wanted, **changed}), clock=clock, logs=testing.FakeLogs())
+        assert other.evidence.unobserved_of != found, "what is not configured any more is over"
+
+
 def test_each_pattern_has_its_level() -> None:
     """An error has priority over a warning."""
     logs = testing.FakeLogs()
