@@ -10,7 +10,8 @@ The first rule that matches decides:
 5. Starvation explains the condition: wait until it is over.
 6. The same failure `same_failure` times, or as many failures of an action on the entire container: give up.
 7. `patience_s` is not over: wait.
-8. Forbidden while armed, stopped by an operator, a condition that is only advised, or mode advise: advise.
+8. Forbidden while armed, stopped by an operator, a condition that is only advised, or mode advise: advise. Of a container that is down
+   or paused, the step that brings it back and disturbs no other follows instead, if only the next one is forbidden while armed.
 9. Budget used up, or back-off not over: wait.
 10. Else the step of the ladder that follows the number of failed attempts.
 
@@ -41,7 +42,7 @@ from phm.recovery.ladders import (
 from phm.recovery.safety.armed_state import ArmedStatus
 from phm.recovery.safety.flight_critical import FlightCriticalGuard
 
-STARVED, START = "starved", "start"
+STARVED, START, UNPAUSE = "starved", "start", "unpause"
 PAUSED = "paused"
 """Condition of a container whose processes are frozen."""
 PAUSES = 2.0
@@ -192,7 +193,7 @@ def decide(
     if wait_s and now < fault.opened.mono + wait_s:
         return Wait(fault.opened.mono + wait_s, "it may come back by itself")
     bound = action not in unrestricted and not approved
-    forbidden = forbids(action) if bound else ""
+    action, forbidden = _in_flight(action, ladder, condition, forbids) if bound else (action, "")
     if forbidden:
         return Advise(action, forbidden, again_at=now + ARMED_AGAIN_S)
     advised = _only_advised(condition, settings, stopped_by_hand=stopped_by_hand) if bound else ""
@@ -200,6 +201,15 @@ def decide(
         return Advise(action, advised)
     act = Act(action, len(same) + 1, alone)
     return _when(act, failures, elsewhere, settings, given_up=given_up, free=action in unrestricted)
+
+
+def _in_flight(action: str, ladder: tuple[str, ...], condition: str, forbids: Callable[[str], str]) -> tuple[str, str]:
+    """The step to take while the vehicle may be armed, and why it is forbidden; empty: it is not."""
+    forbidden = forbids(action)
+    gentlest = START if condition in DOWN else UNPAUSE if condition == PAUSED else ""
+    if forbidden and gentlest in ladder and not forbids(gentlest):
+        return gentlest, ""
+    return action, forbidden
 
 
 def _only_advised(condition: str, settings: RecoverySettings, *, stopped_by_hand: bool) -> str:
