@@ -1,6 +1,6 @@
 """What recovery knows about one target: what was tried, its open faults, and what changes from outside do to both.
 
-The budget counts every attempt. Two flags keep an attempt out of back-off and out of the count of failures:
+The budget counts every attempt that disturbs the container. Two flags keep an attempt out of back-off and out of the count of failures:
 
 - `backoff_reset`: something that the unit needs has recovered since, so the next attempt may follow immediately.
 - `not_counted`: made while something that the unit needs was down, or on an earlier generation of the container
@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 
 from phm.core.clock import Clock
 from phm.core.model import ActionEvent, Event, Fault, Phase
-from phm.recovery.ladders import DOWN
+from phm.recovery.ladders import DOWN, GENTLE
 from phm.recovery.operator.approval import Approval
 from phm.recovery.ownership import Generation, Shared
 
@@ -61,6 +61,13 @@ class History:
     def within(self, since: float) -> list[AttemptRecord]:
         """Attempts that began at `since` (monotonic seconds) or later."""
         return [attempt for attempt in self.attempts if attempt.at >= since]
+
+    def in_budget(self, since: float, unrestricted: Collection[str], *, free: bool = False) -> list[AttemptRecord]:
+        """What counts in the budget of the container from `since` (monotonic seconds) on. free: in that of the `unrestricted` actions,
+        which disturb no container."""
+        return [
+            made for made in self.within(since) if made.action not in GENTLE and (made.action in unrestricted) is free
+        ]
 
     def reset_backoff(self, units: Collection[str], down_from: float) -> frozenset[str]:
         """Something that `units` need has recovered, after it was down from `down_from` (monotonic seconds).

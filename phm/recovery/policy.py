@@ -169,7 +169,8 @@ def decide(
         return Skip("it was never OK since its container started, so an action would not help")
     if given_up and START not in ladder:
         return Skip("only a start is tried again after recovery has given up")
-    alone = given_up or (condition in DOWN and START in ladder and len(failures.recent(settings)) >= settings.budget)
+    used = history.in_budget(now - settings.window, unrestricted)
+    alone = given_up or (condition in DOWN and START in ladder and len(used) >= settings.budget)
     action = START if alone else _step(ladder, condition, same, settings)
     if action not in unrestricted:
         refused = _refused(target, settings, hold, undecided)
@@ -200,7 +201,7 @@ def decide(
     if advised:
         return Advise(action, advised)
     act = Act(action, len(same) + 1, alone)
-    return _when(act, failures, elsewhere, settings, given_up=given_up, free=action in unrestricted)
+    return _when(act, failures, elsewhere, settings, given_up=given_up, unrestricted=unrestricted)
 
 
 def _in_flight(action: str, ladder: tuple[str, ...], condition: str, forbids: Callable[[str], str]) -> tuple[str, str]:
@@ -260,12 +261,12 @@ def _when(
     settings: RecoverySettings,
     *,
     given_up: bool,
-    free: bool,
+    unrestricted: frozenset[str],
 ) -> Act | Wait:
-    """The action, or until when budget and back-off hold it back. free: it disturbs no container."""
+    """The action, or until when budget and back-off hold it back."""
     now, down = failures.now, failures.fault.result.condition in DOWN
-    gentle = act.action in GENTLE
-    recent = [] if gentle else failures.recent(settings)
+    gentle, free = act.action in GENTLE, act.action in unrestricted
+    recent = [] if gentle else failures.history.in_budget(now - settings.window, unrestricted, free=free)
     most = settings.budget if down or free or gentle else max(1, settings.budget - settings.reserve)
     if recent and act.alone:
         ready = recent[-1].at + settings.backoff_max
@@ -340,10 +341,6 @@ class Failures:
             for attempt in self._within()
             if not (attempt.backoff_reset and attempt.not_counted)
         )
-
-    def recent(self, settings: RecoverySettings) -> list[AttemptRecord]:
-        """What counts in the budget."""
-        return [made for made in self.history.within(self.now - settings.window) if made.action not in GENTLE]
 
     def of_the_unit(self) -> list[AttemptRecord]:
         """Attempts for the same unit and condition that did not help, since the last one that did."""

@@ -481,3 +481,15 @@ def test_lowering_a_cpu_weight_uses_no_budget() -> None:
     assert say(lowered) == Act("restart", 1)
     spent = History([AttemptRecord(900.0 + n, f"unit{n}", "x", "restart", True) for n in range(5)])
     assert say(spent, fault=fault("cpu_starved")) == Act("relieve", 1)
+
+
+def test_what_phm_does_to_itself_has_a_separate_budget() -> None:
+    """PHM without its networks sees nothing; and how often it joins them must not be the reason for leaving a container down."""
+    own = frozenset({"join_network"})
+    restarts = History([AttemptRecord(900.0 + n, f"unit{n}", "x", "restart", True) for n in range(5)])
+    assert say(restarts, fault=fault("sidecar_disconnected"), unrestricted=own) == Act("join_network", 1)
+    joins = History([AttemptRecord(900.0 + n, "network/app", "x", "join_network", True) for n in range(5)])
+    assert say(joins, unrestricted=own) == Act("restart", 1)
+    assert say(joins, fault=fault("exited"), unrestricted=own) == Act("start", 1)
+    spent = say(joins, fault=fault("sidecar_disconnected"), unrestricted=own)
+    assert spent == Wait(1500.0, "budget of 5 actions used up", report=True)
