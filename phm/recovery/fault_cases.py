@@ -100,7 +100,6 @@ class PersistedCase:
     advised: the action that waits for an approval; empty: none.
     """
 
-    refused: bool = False
     reported: tuple[str, ...] = ()
     approved: str = ""
     advised: str = ""
@@ -150,7 +149,7 @@ class FaultCase:
     def persisted(self) -> PersistedCase:
         """For the state file."""
         approved = self.approval.situation.action if self.approval is not None else ""
-        return PersistedCase(self.refused, tuple(sorted(self.reported)[:MAX_REPORTED]), approved, self.advised)
+        return PersistedCase(tuple(sorted(self.reported)[:MAX_REPORTED]), approved, self.advised)
 
     def update_fault(self, fault: Fault) -> None:
         """The condition may have changed, and with it the actions that apply."""
@@ -177,12 +176,11 @@ class FaultCases:
                 self._of[fault.unit] = FaultCase(fault)
 
     def restore(self, fault: Fault, known: PersistedCase, recheck_from: float, *, interrupted: bool) -> FaultCase:
-        """The case of a fault of an earlier run of PHM."""
+        """The case of a fault of an earlier run of PHM. What was not permitted then may be now, so it is tried again."""
         case = FaultCase(
             fault,
             set(known.reported),
             known.advised,
-            known.refused,
             recheck_from=recheck_from,
             interrupted=interrupted,
         )

@@ -45,7 +45,7 @@ def encode(state: PersistedState, boot: str, now: Stamp) -> dict[str, Any]:
         "attempts": {target: [_attempt(each, now) for each in made[-KEPT:]] for target, made in newest if made},
         "cases": {
             name: {
-                "refused": case.refused,
+                "refused": False,  # 0.2.0 reads no state without it
                 "reported": [text[:MAX_TEXT] for text in case.reported[:MAX_REPORTED]],
                 "approved": case.approved[:MAX_TEXT],
                 "advised": case.advised[:MAX_TEXT],
@@ -123,7 +123,6 @@ def decode(document: Any, boot: str, now: Stamp, window_s: float) -> PersistedSt
             },
             {
                 str(name): PersistedCase(
-                    case["refused"] is True,
                     tuple(str(text) for text in case["reported"][:MAX_REPORTED]),
                     str(case["approved"])[:MAX_TEXT],
                     str(case.get("advised", ""))[:MAX_TEXT],

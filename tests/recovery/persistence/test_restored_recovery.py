@@ -15,6 +15,7 @@ from phm.checking.pipeline import Pipeline
 from phm.core.bus import Bus
 from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Level, Note, Phase, Transition
 from phm.core.settings import ContainerSettings, Settings
+from phm.facts import NotPermitted
 from phm.recovery.base import Action, ActionContext, Target
 from phm.recovery.executor import Executor, NotApprovable
 from phm.recovery.persistence.persistence_service import PersistenceService
@@ -228,6 +229,23 @@ def test_an_interrupted_action_is_an_attempt_and_repeated(lives: Callable[..., L
     assert any("interrupted" in event.text for event in second.of(Note))
     assert second.of(FaultOpened) == []
     assert [made.worked for made in second.executor.persisted().attempts["app"]] == [False, True]
+
+
+def test_an_action_that_was_not_permitted_is_tried_again(lives: Callable[..., Life]) -> None:
+    """The operator corrects the socket proxy and restarts PHM."""
+
+    def refuse(name: str) -> None:
+        raise NotPermitted("HTTP 403")
+
+    first = lives()
+    first.behave = refuse
+    first.until(lambda: Phase.FAILED in first.phases())
+    first.rest()
+    first.die()
+    second = lives()
+    second.behave = lambda name: setattr(second, "healthy", True)
+    second.until(lambda: Phase.VERIFIED in second.phases())
+    assert first.runs == second.runs == ["restart"]
 
 
 @pytest.mark.parametrize("returned", [False, True])
