@@ -178,7 +178,7 @@ class TargetWorker:
             self._wake.clear()
             try:
                 wait_s = self._next()
-            except Exception:  # a defect here must not end recovery of this target for good
+            except BaseException:  # a defect or plug-in, even SystemExit, must not end recovery of this target for good
                 logger.exception("recovery of %s failed unexpectedly", self._name)
                 wait_s = 5.0
             if wait_s != 0:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
@@ -235,6 +236,23 @@ def test_an_action_that_raises_is_a_failed_attempt(worlds: list[World], trouble:
     world.fail()
     world.until(lambda: Phase.VERIFIED in world.phases())
     assert world.phases() == [Phase.STARTED, Phase.FAILED, Phase.STARTED, Phase.DONE, Phase.VERIFIED]
+
+
+@pytest.mark.parametrize("method", ["__init__", "applies", "waits_for", "limit_s"])
+def test_an_action_that_exits_before_it_is_begun_does_not_end_recovery(worlds: list[World], method: str) -> None:
+    """`sys.exit` of a plug-in, once, outside of `run`: the worker's thread goes on."""
+    world = make(worlds)
+    action = world.actions["restart"]
+    proper = getattr(action, method)
+
+    def leave(*given: object, **named: object) -> None:
+        setattr(action, method, proper)
+        sys.exit(1)
+
+    setattr(action, method, leave)
+    world.fail()
+    world.until(lambda: Phase.VERIFIED in world.phases())
+    assert world.runs == ["restart"]
 
 
 class Stuck:
