@@ -19,7 +19,7 @@ from phm.core.settings import ContainerSettings, Settings
 from phm.facts import NotPermitted
 from phm.recovery.attempt import HUNG_S
 from phm.recovery.base import Action, ActionContext, ActionFailed, Target
-from phm.recovery.executor import Executor
+from phm.recovery.executor import Executor, NotNow
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 from phm.runtime.sections import action_settings
 from phm.tracker import TrackedUnit, Tracker, graph_of
@@ -157,6 +157,19 @@ def test_a_fault_is_acted_on_and_the_result_is_verified(worlds: list[World]) -> 
     assert world.phases() == [Phase.STARTED, Phase.DONE, Phase.VERIFIED]
     assert world.runs == ["restart"]
     assert world.closed()[0].fault.by == "restart"
+
+
+def test_nothing_is_begun_once_recovery_has_stopped(worlds: list[World]) -> None:
+    """Checks still run for a moment: a fault that opens then, or a request, is for the next PHM."""
+    world = make(worlds)
+    world.executor.stop()
+    world.fail()
+    for _ in range(20):
+        world._step()
+    with pytest.raises(NotNow, match="PHM is being stopped"):
+        world.executor.restart("app", "an operator")
+    assert world.runs == world.phases() == []
+    assert world.executor._worker("app")._stopping
 
 
 def test_an_ineffective_action_is_repeated_and_then_given_up(worlds: list[World]) -> None:
