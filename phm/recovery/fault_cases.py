@@ -159,10 +159,11 @@ class FaultCase:
 
 
 class FaultCases:
-    """By unit. Thread-safe, but for the contents of a case, which only the worker changes."""
+    """By unit. Thread-safe, but for the contents of a case, which only the worker changes. over: called once with each case that is
+    forgotten."""
 
-    def __init__(self, target: str) -> None:
-        self._target = target
+    def __init__(self, target: str, over: Callable[[FaultCase], None] = lambda case: None) -> None:
+        self._target, self._over = target, over
         self._of: dict[str, FaultCase] = {}
         self._lock = threading.Lock()
 
@@ -172,8 +173,10 @@ class FaultCases:
             case = self._of.get(fault.unit)
             if case is not None and case.fault.id == fault.id:
                 case.update_fault(fault)
-            else:
-                self._of[fault.unit] = FaultCase(fault)
+                return
+            self._of[fault.unit] = FaultCase(fault)
+        if case is not None:
+            self._over(case)
 
     def restore(self, fault: Fault, known: PersistedCase, recheck_from: float, *, interrupted: bool) -> FaultCase:
         """The case of a fault of an earlier run of PHM. What was not permitted then may be now, so it is tried again."""
@@ -188,9 +191,11 @@ class FaultCases:
             self._of[fault.unit] = case
         return case
 
-    def closed(self, unit: str) -> FaultCase | None:
+    def closed(self, unit: str) -> None:
         with self._lock:
-            return self._of.pop(unit, None)
+            case = self._of.pop(unit, None)
+        if case is not None:
+            self._over(case)
 
     def current(self, open_faults: Callable[[], Iterable[Fault]]) -> list[FaultCase]:
         """The cases with their current faults, most upstream first. Removes those whose fault is over or has another target.
@@ -199,10 +204,14 @@ class FaultCases:
         """
         with self._lock:
             mine = {fault.id: fault for fault in open_faults() if fault.result.target == self._target}
+            over = [case for case in self._of.values() if case.fault.id not in mine]
             self._of = {unit: case for unit, case in self._of.items() if case.fault.id in mine}
             for case in self._of.values():
                 case.update_fault(mine[case.fault.id])
-            return sorted(self._of.values(), key=lambda case: case.fault.slot)
+            current = sorted(self._of.values(), key=lambda case: case.fault.slot)
+        for case in over:
+            self._over(case)
+        return current
 
     def find(self, fault_id: str) -> FaultCase | None:
         with self._lock:

@@ -73,7 +73,7 @@ class TargetWorker:
         self._catalog, self._new_attempt = rules.catalog, new_attempt
         self._pipeline, self._clock, self._locks = shared.pipeline, shared.clock, shared.locks
         self._grace_s, self._generations = shared.grace_s, shared.generations
-        self._cases = FaultCases(self._name)
+        self._cases = FaultCases(self._name, self._over)
         self._changes = ExternalChanges(self._name, history, shared)
         self._reporter = ActionReporter(self._name, shared.clock, publish)
         self._requests: OperatorRequests | None = None
@@ -93,10 +93,12 @@ class TargetWorker:
 
     def closed(self, fault: Fault) -> None:
         """A fault of the target was closed."""
-        case = self._cases.closed(fault.unit)
-        if case is not None and case.interrupted:
-            self._locks.end_action(self._name, case, worked=True)
+        self._cases.closed(fault.unit)
         self._wake.set()
+
+    def _over(self, case: FaultCase) -> None:
+        if case.interrupted:
+            self._locks.end_action(self._name, case, worked=True)
 
     def dependency_recovered(self, units: Collection[str], down_from: float) -> None:
         """Something that these units of the target need has recovered, after it was down from then on."""

@@ -278,6 +278,30 @@ def test_a_unit_that_recovered_meanwhile_is_not_acted_on(lives: Callable[..., Li
     assert second.of(FaultClosed)[0].fault.by == "restart"
 
 
+@pytest.mark.parametrize("first_seen_by", ["the bus", "the worker"])
+def test_an_interrupted_action_ends_with_its_fault(lives: Callable[..., Life], first_seen_by: str) -> None:
+    """Whichever thread sees that first: as long as the action lasts, other failures of the container are no faults."""
+    first, stuck = lives(), threading.Event()
+    first.hangs, first.behave = True, lambda name: cast(None, stuck.wait(120))
+    first.until(lambda: bool(first.runs))
+    first.die()
+    second = lives()
+    stuck.set()
+    assert second.pipeline.action_on("app") == "restart"
+    worker = second.executor._workers["app"]
+    closed = worker.closed
+
+    def late(fault: Fault) -> None:
+        worker._current()
+        closed(fault)
+
+    worker.closed = late if first_seen_by == "the worker" else closed  # type: ignore[method-assign]
+    second.healthy = True
+    second.until(lambda: bool(second.of(FaultClosed)))
+    second._step()
+    assert second.pipeline.action_on("app") == ""
+
+
 def test_the_fault_of_a_removed_unit_is_closed(lives: Callable[..., Life]) -> None:
     """Reported once, as resolved by the configuration."""
     fault = advised(lives(mode="advise"))
