@@ -14,6 +14,8 @@ _TEXTS = ("summary", "brief", "condition", "target")
 _SECONDS = ("settle_s", "decides_s", "age_s", "rate_hz")
 _AGE = "age_s"
 """Always a number; infinity: the evidence may be from any time before PHM's first observation."""
+_EVIDENCE_TEXTS = ("generation", "file", "broken_hop", "ended_by")
+_EVIDENCE_FLAGS = ("certain", "conclusive", "in_time", "rising", "falling", "forecast", "recovered", "unobserved")
 _VALUES = (str, int, float, bool, type(None))
 
 
@@ -52,10 +54,32 @@ def _wrong_values(values: object) -> str:
 def _wrong_details(result: Result) -> str:
     if not isinstance(result.evidence, Evidence):
         return f"a Result whose evidence is {_kind(result.evidence)}, not Evidence"
+    if field := _wrong_evidence(result.evidence):
+        return f"a Result whose evidence.{field} is {_kind(getattr(result.evidence, field))}, which it must not be"
     if not isinstance(result.readings, (HostReadings, type(None))):
         return f"a Result whose readings are {_kind(result.readings)}, not HostReadings"
     if not isinstance(result.votes, tuple) or not all(isinstance(each, NodeVotes) for each in result.votes):
         return "a Result whose votes are not a tuple of NodeVotes"
+    return ""
+
+
+def _wrong_evidence(evidence: Evidence) -> str:
+    """A field whose value is not of the documented type; empty: none."""
+    for name in _EVIDENCE_TEXTS:
+        if not isinstance(getattr(evidence, name), str):
+            return name
+    for name in _EVIDENCE_FLAGS:
+        if not isinstance(getattr(evidence, name), bool):
+            return name
+    if not _is_number(evidence.observed, age=True) and evidence.observed != -math.inf:
+        return "observed"
+    if not isinstance(evidence.never_ok, (bool, type(None))):
+        return "never_ok"
+    if not isinstance(evidence.listed, (int, type(None))) or isinstance(evidence.listed, bool):
+        return "listed"
+    names = evidence.subjects
+    if names is not None and not (isinstance(names, tuple) and all(isinstance(name, str) for name in names)):
+        return "subjects"
     return ""
 
 

@@ -42,7 +42,7 @@ class CommandHandler:
             return self._execute(request, by)
         except self._services.later as error:
             return Reply(CommandResult.TEMPORARILY_REJECTED, str(error))
-        except Exception as error:
+        except BaseException as error:  # plug-in code, such as `Action.applies`, may raise even SystemExit
             return Reply(CommandResult.FAILED, str(error) or type(error).__name__)
 
     def _execute(self, request: OperatorRequest, by: str) -> Reply:

@@ -222,7 +222,7 @@ class MavlinkCommands:
                     return self._repeat(request, command)
                 case _:
                     return self._handler.execute(request, command.sender)
-        except Exception as error:
+        except BaseException as error:  # as in `CommandHandler.execute`
             return Reply(CommandResult.FAILED, str(error) or type(error).__name__)
 
     # ------------------------------------------------------------ status and details

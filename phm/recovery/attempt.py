@@ -151,7 +151,7 @@ class Attempt:
             return self._action.waits_for(self._target, self._fault, self._context)
         except (CannotTell, ActionFailed):
             return ""
-        except Exception:  # plug-in code
+        except BaseException:  # plug-in code: even SystemExit must not end the worker
             logger.exception("action %s failed in `waits_for`", self._type.name)
             return ""
 

@@ -91,6 +91,8 @@ class Executor:
 
     def handle(self, event: Event) -> None:
         """Take an event from the bus."""
+        if self._stopping:
+            return
         if isinstance(event, FaultClosed):
             self._closed(event.fault)
         elif isinstance(event, FaultOpened):
@@ -148,6 +150,8 @@ class Executor:
                 worker = self._workers[name] = TargetWorker(
                     target, history, self._shared, self._rules, self._new_attempt, self._publish
                 )
+                if self._stopping:
+                    worker.stop()
             return worker
 
     # ------------------------------------------------------------ over a restart of PHM
@@ -248,6 +252,8 @@ class Executor:
         target = Target.parse(container, self._containers)
         if target.kind is not TargetKind.CONTAINER or not target.configured:
             raise NotAllowed(f"there is no container {container!r} in the configuration")
+        if self._stopping:
+            raise NotNow("PHM is being stopped")
         return self._worker(container).restart(by)
 
     def action_on(self, target: str) -> bool:

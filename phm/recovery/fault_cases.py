@@ -1,6 +1,6 @@
 """What recovery knows about one target: what was tried, its open faults, and what changes from outside do to both.
 
-The budget counts every attempt. Two flags keep an attempt out of back-off and out of the count of failures:
+The budget counts every attempt that disturbs the container. Two flags keep an attempt out of back-off and out of the count of failures:
 
 - `backoff_reset`: something that the unit needs has recovered since, so the next attempt may follow immediately.
 - `not_counted`: made while something that the unit needs was down, or on an earlier generation of the container
@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 
 from phm.core.clock import Clock
 from phm.core.model import ActionEvent, Event, Fault, Phase
-from phm.recovery.ladders import DOWN
+from phm.recovery.ladders import DOWN, GENTLE
 from phm.recovery.operator.approval import Approval
 from phm.recovery.ownership import Generation, Shared
 
@@ -62,6 +62,13 @@ class History:
         """Attempts that began at `since` (monotonic seconds) or later."""
         return [attempt for attempt in self.attempts if attempt.at >= since]
 
+    def in_budget(self, since: float, unrestricted: Collection[str], *, free: bool = False) -> list[AttemptRecord]:
+        """What counts in the budget of the container from `since` (monotonic seconds) on. free: in that of the `unrestricted` actions,
+        which disturb no container."""
+        return [
+            made for made in self.within(since) if made.action not in GENTLE and (made.action in unrestricted) is free
+        ]
+
     def reset_backoff(self, units: Collection[str], down_from: float) -> frozenset[str]:
         """Something that `units` need has recovered, after it was down from `down_from` (monotonic seconds).
 
@@ -93,7 +100,6 @@ class PersistedCase:
     advised: the action that waits for an approval; empty: none.
     """
 
-    refused: bool = False
     reported: tuple[str, ...] = ()
     approved: str = ""
     advised: str = ""
@@ -143,7 +149,7 @@ class FaultCase:
     def persisted(self) -> PersistedCase:
         """For the state file."""
         approved = self.approval.situation.action if self.approval is not None else ""
-        return PersistedCase(self.refused, tuple(sorted(self.reported)[:MAX_REPORTED]), approved, self.advised)
+        return PersistedCase(tuple(sorted(self.reported)[:MAX_REPORTED]), approved, self.advised)
 
     def update_fault(self, fault: Fault) -> None:
         """The condition may have changed, and with it the actions that apply."""
@@ -153,10 +159,11 @@ class FaultCase:
 
 
 class FaultCases:
-    """By unit. Thread-safe, but for the contents of a case, which only the worker changes."""
+    """By unit. Thread-safe, but for the contents of a case, which only the worker changes. over: called once with each case that is
+    forgotten."""
 
-    def __init__(self, target: str) -> None:
-        self._target = target
+    def __init__(self, target: str, over: Callable[[FaultCase], None] = lambda case: None) -> None:
+        self._target, self._over = target, over
         self._of: dict[str, FaultCase] = {}
         self._lock = threading.Lock()
 
@@ -166,16 +173,17 @@ class FaultCases:
             case = self._of.get(fault.unit)
             if case is not None and case.fault.id == fault.id:
                 case.update_fault(fault)
-            else:
-                self._of[fault.unit] = FaultCase(fault)
+                return
+            self._of[fault.unit] = FaultCase(fault)
+        if case is not None:
+            self._over(case)
 
     def restore(self, fault: Fault, known: PersistedCase, recheck_from: float, *, interrupted: bool) -> FaultCase:
-        """The case of a fault of an earlier run of PHM."""
+        """The case of a fault of an earlier run of PHM. What was not permitted then may be now, so it is tried again."""
         case = FaultCase(
             fault,
             set(known.reported),
             known.advised,
-            known.refused,
             recheck_from=recheck_from,
             interrupted=interrupted,
         )
@@ -183,9 +191,11 @@ class FaultCases:
             self._of[fault.unit] = case
         return case
 
-    def closed(self, unit: str) -> FaultCase | None:
+    def closed(self, unit: str) -> None:
         with self._lock:
-            return self._of.pop(unit, None)
+            case = self._of.pop(unit, None)
+        if case is not None:
+            self._over(case)
 
     def current(self, open_faults: Callable[[], Iterable[Fault]]) -> list[FaultCase]:
         """The cases with their current faults, most upstream first. Removes those whose fault is over or has another target.
@@ -194,10 +204,14 @@ class FaultCases:
         """
         with self._lock:
             mine = {fault.id: fault for fault in open_faults() if fault.result.target == self._target}
+            over = [case for case in self._of.values() if case.fault.id not in mine]
             self._of = {unit: case for unit, case in self._of.items() if case.fault.id in mine}
             for case in self._of.values():
                 case.update_fault(mine[case.fault.id])
-            return sorted(self._of.values(), key=lambda case: case.fault.slot)
+            current = sorted(self._of.values(), key=lambda case: case.fault.slot)
+        for case in over:
+            self._over(case)
+        return current
 
     def find(self, fault_id: str) -> FaultCase | None:
         with self._lock:

@@ -10,7 +10,8 @@ The first rule that matches decides:
 5. Starvation explains the condition: wait until it is over.
 6. The same failure `same_failure` times, or as many failures of an action on the entire container: give up.
 7. `patience_s` is not over: wait.
-8. Forbidden while armed, stopped by an operator, a condition that is only advised, or mode advise: advise.
+8. Forbidden while armed, stopped by an operator, a condition that is only advised, or mode advise: advise. Of a container that is down
+   or paused, the step that brings it back and disturbs no other follows instead, if only the next one is forbidden while armed.
 9. Budget used up, or back-off not over: wait.
 10. Else the step of the ladder that follows the number of failed attempts.
 
@@ -41,7 +42,7 @@ from phm.recovery.ladders import (
 from phm.recovery.safety.armed_state import ArmedStatus
 from phm.recovery.safety.flight_critical import FlightCriticalGuard
 
-STARVED, START = "starved", "start"
+STARVED, START, UNPAUSE = "starved", "start", "unpause"
 PAUSED = "paused"
 """Condition of a container whose processes are frozen."""
 PAUSES = 2.0
@@ -168,7 +169,8 @@ def decide(
         return Skip("it was never OK since its container started, so an action would not help")
     if given_up and START not in ladder:
         return Skip("only a start is tried again after recovery has given up")
-    alone = given_up or (condition in DOWN and START in ladder and len(failures.recent(settings)) >= settings.budget)
+    used = history.in_budget(now - settings.window, unrestricted)
+    alone = given_up or (condition in DOWN and START in ladder and len(used) >= settings.budget)
     action = START if alone else _step(ladder, condition, same, settings)
     if action not in unrestricted:
         refused = _refused(target, settings, hold, undecided)
@@ -192,14 +194,23 @@ def decide(
     if wait_s and now < fault.opened.mono + wait_s:
         return Wait(fault.opened.mono + wait_s, "it may come back by itself")
     bound = action not in unrestricted and not approved
-    forbidden = forbids(action) if bound else ""
+    action, forbidden = _in_flight(action, ladder, condition, forbids) if bound else (action, "")
     if forbidden:
         return Advise(action, forbidden, again_at=now + ARMED_AGAIN_S)
     advised = _only_advised(condition, settings, stopped_by_hand=stopped_by_hand) if bound else ""
     if advised:
         return Advise(action, advised)
     act = Act(action, len(same) + 1, alone)
-    return _when(act, failures, elsewhere, settings, given_up=given_up, free=action in unrestricted)
+    return _when(act, failures, elsewhere, settings, given_up=given_up, unrestricted=unrestricted)
+
+
+def _in_flight(action: str, ladder: tuple[str, ...], condition: str, forbids: Callable[[str], str]) -> tuple[str, str]:
+    """The step to take while the vehicle may be armed, and why it is forbidden; empty: it is not."""
+    forbidden = forbids(action)
+    gentlest = START if condition in DOWN else UNPAUSE if condition == PAUSED else ""
+    if forbidden and gentlest in ladder and not forbids(gentlest):
+        return gentlest, ""
+    return action, forbidden
 
 
 def _only_advised(condition: str, settings: RecoverySettings, *, stopped_by_hand: bool) -> str:
@@ -250,12 +261,12 @@ def _when(
     settings: RecoverySettings,
     *,
     given_up: bool,
-    free: bool,
+    unrestricted: frozenset[str],
 ) -> Act | Wait:
-    """The action, or until when budget and back-off hold it back. free: it disturbs no container."""
+    """The action, or until when budget and back-off hold it back."""
     now, down = failures.now, failures.fault.result.condition in DOWN
-    gentle = act.action in GENTLE
-    recent = [] if gentle else failures.recent(settings)
+    gentle, free = act.action in GENTLE, act.action in unrestricted
+    recent = [] if gentle else failures.history.in_budget(now - settings.window, unrestricted, free=free)
     most = settings.budget if down or free or gentle else max(1, settings.budget - settings.reserve)
     if recent and act.alone:
         ready = recent[-1].at + settings.backoff_max
@@ -330,10 +341,6 @@ class Failures:
             for attempt in self._within()
             if not (attempt.backoff_reset and attempt.not_counted)
         )
-
-    def recent(self, settings: RecoverySettings) -> list[AttemptRecord]:
-        """What counts in the budget."""
-        return [made for made in self.history.within(self.now - settings.window) if made.action not in GENTLE]
 
     def of_the_unit(self) -> list[AttemptRecord]:
         """Attempts for the same unit and condition that did not help, since the last one that did."""

@@ -73,7 +73,7 @@ class TargetWorker:
         self._catalog, self._new_attempt = rules.catalog, new_attempt
         self._pipeline, self._clock, self._locks = shared.pipeline, shared.clock, shared.locks
         self._grace_s, self._generations = shared.grace_s, shared.generations
-        self._cases = FaultCases(self._name)
+        self._cases = FaultCases(self._name, self._over)
         self._changes = ExternalChanges(self._name, history, shared)
         self._reporter = ActionReporter(self._name, shared.clock, publish)
         self._requests: OperatorRequests | None = None
@@ -93,10 +93,12 @@ class TargetWorker:
 
     def closed(self, fault: Fault) -> None:
         """A fault of the target was closed."""
-        case = self._cases.closed(fault.unit)
-        if case is not None and case.interrupted:
-            self._locks.end_action(self._name, case, worked=True)
+        self._cases.closed(fault.unit)
         self._wake.set()
+
+    def _over(self, case: FaultCase) -> None:
+        if case.interrupted:
+            self._locks.end_action(self._name, case, worked=True)
 
     def dependency_recovered(self, units: Collection[str], down_from: float) -> None:
         """Something that these units of the target need has recovered, after it was down from then on."""
@@ -178,7 +180,7 @@ class TargetWorker:
             self._wake.clear()
             try:
                 wait_s = self._next()
-            except Exception:  # a defect here must not end recovery of this target for good
+            except BaseException:  # a defect or plug-in, even SystemExit, must not end recovery of this target for good
                 logger.exception("recovery of %s failed unexpectedly", self._name)
                 wait_s = 5.0
             if wait_s != 0:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
@@ -12,6 +13,8 @@ from phm.tracker.faults import ITSELF, TIMEOUT, FaultRecords, as_unobserved
 from phm.tracker.rules import GRACE_ENDS_AFTER_OK_S, as_unknown, certain_before, decide, in_grace
 from phm.tracker.start_dedup import StartDedup, StartSeen
 from phm.tracker.units import NEVER, ActionInProgress, Effects, TargetHold, TrackedUnit, TrackerView, UnitRecord
+
+logger = logging.getLogger(__name__)
 
 ASK_AGAIN_S = 1.0
 """While a bad result waits for confirmation, its check and those of its dependencies run again this often."""
@@ -209,16 +212,11 @@ class Tracker:
         for record in self._units.values():
             if record.settled:
                 continue  # most are, and this is called several times a second
-            if record.unpublished:
-                self._evaluate(record, now, effects)
-            effects.waiting |= record.waiting
-            if starvation.recovering(record, now.mono) and now.mono - record.started >= ASK_AGAIN_S:
-                effects.rerun.add(record.id)
-            if record.pending is not None:
-                waiting = (record, *self._view.upstream(record.id), *starvation.pressure_units(record, self._view))
-                effects.rerun.update(other.id for other in waiting if now.mono - other.started >= ASK_AGAIN_S)
-                if record.spec.unit.settle_s > 0 and now.mono - record.started >= SETTLING_RERUN_S:
-                    effects.rerun.add(record.id)
+            try:
+                self._settle(record, now, effects)
+            except Exception:  # a defect must not stop the time of the other units
+                logger.exception("the state of %s could not be evaluated", record.id)
+                effects.waiting = True
         return effects
 
     # ------------------------------------------------------------ recovery actions, holds and container events
@@ -346,6 +344,18 @@ class Tracker:
         return effects
 
     # ------------------------------------------------------------ internal
+
+    def _settle(self, record: UnitRecord, now: Stamp, effects: Effects) -> None:
+        if record.unpublished:
+            self._evaluate(record, now, effects)
+        effects.waiting |= record.waiting
+        if starvation.recovering(record, now.mono) and now.mono - record.started >= ASK_AGAIN_S:
+            effects.rerun.add(record.id)
+        if record.pending is not None:
+            waiting = (record, *self._view.upstream(record.id), *starvation.pressure_units(record, self._view))
+            effects.rerun.update(other.id for other in waiting if now.mono - other.started >= ASK_AGAIN_S)
+            if record.spec.unit.settle_s > 0 and now.mono - record.started >= SETTLING_RERUN_S:
+                effects.rerun.add(record.id)
 
     def _evaluate(self, record: UnitRecord, now: Stamp, effects: Effects) -> None:
         decision = decide(record, self._view, now.mono)

@@ -46,7 +46,7 @@ class Scene:
         self.system_id, self.component_id, self.agents, self.signs = 7, 193, 1, signs
         self.urgencies: list[int] = []
         self.faults: tuple[Fault, ...] = ()
-        self.raises: Exception | None = None
+        self.raises: BaseException | None = None
         self.checks_alive = True
         readings = HostReadings(cpu_percent=41.6, memory_percent=50.0)
         host = UnitState(
@@ -326,8 +326,10 @@ def test_a_restart_of_another_name_is_not_a_repetition() -> None:
     assert scene.result(long(31010, 3, 1, container_hash("db"), again=1)) is CommandResult.DENIED
 
 
-@pytest.mark.parametrize(("raised", "result"), [(Later("armed"), 1), (RuntimeError("no"), 4), (KeyError(), 4)])
-def test_an_impossible_action_is_refused_with_its_reason(raised: Exception, result: int) -> None:
+@pytest.mark.parametrize(
+    ("raised", "result"), [(Later("armed"), 1), (RuntimeError("no"), 4), (KeyError(), 4), (SystemExit(), 4)]
+)
+def test_an_impossible_action_is_refused_with_its_reason(raised: BaseException, result: int) -> None:
     """Temporarily or permanently."""
     scene = Scene("restart")
     scene.raises = raised

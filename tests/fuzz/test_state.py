@@ -35,7 +35,7 @@ STATE = PersistedState(
     (FAULT,),
     RecoveryState(
         {"app": (ATTEMPT,)},
-        {"ab12-1": PersistedCase(True, ("reported",))},
+        {"ab12-1": PersistedCase(("reported",))},
         {"app": UnfinishedAction("ab12-1", ATTEMPT)},
         {"app": Generation("id", "2026", 990.0, None)},
     ),

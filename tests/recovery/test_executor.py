@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
@@ -18,7 +19,7 @@ from phm.core.settings import ContainerSettings, Settings
 from phm.facts import NotPermitted
 from phm.recovery.attempt import HUNG_S
 from phm.recovery.base import Action, ActionContext, ActionFailed, Target
-from phm.recovery.executor import Executor
+from phm.recovery.executor import Executor, NotNow
 from phm.recovery.safety.armed_state import ArmedState, ArmedStatus
 from phm.runtime.sections import action_settings
 from phm.tracker import TrackedUnit, Tracker, graph_of
@@ -158,6 +159,19 @@ def test_a_fault_is_acted_on_and_the_result_is_verified(worlds: list[World]) -> 
     assert world.closed()[0].fault.by == "restart"
 
 
+def test_nothing_is_begun_once_recovery_has_stopped(worlds: list[World]) -> None:
+    """Checks still run for a moment: a fault that opens then, or a request, is for the next PHM."""
+    world = make(worlds)
+    world.executor.stop()
+    world.fail()
+    for _ in range(20):
+        world._step()
+    with pytest.raises(NotNow, match="PHM is being stopped"):
+        world.executor.restart("app", "an operator")
+    assert world.runs == world.phases() == []
+    assert world.executor._worker("app")._stopping
+
+
 def test_an_ineffective_action_is_repeated_and_then_given_up(worlds: list[World]) -> None:
     """Three times the same failure: reported once, with the next step, and no more restarts."""
     world = make(worlds)
@@ -235,6 +249,23 @@ def test_an_action_that_raises_is_a_failed_attempt(worlds: list[World], trouble:
     world.fail()
     world.until(lambda: Phase.VERIFIED in world.phases())
     assert world.phases() == [Phase.STARTED, Phase.FAILED, Phase.STARTED, Phase.DONE, Phase.VERIFIED]
+
+
+@pytest.mark.parametrize("method", ["__init__", "applies", "waits_for", "limit_s"])
+def test_an_action_that_exits_before_it_is_begun_does_not_end_recovery(worlds: list[World], method: str) -> None:
+    """`sys.exit` of a plug-in, once, outside of `run`: the worker's thread goes on."""
+    world = make(worlds)
+    action = world.actions["restart"]
+    proper = getattr(action, method)
+
+    def leave(*given: object, **named: object) -> None:
+        setattr(action, method, proper)
+        sys.exit(1)
+
+    setattr(action, method, leave)
+    world.fail()
+    world.until(lambda: Phase.VERIFIED in world.phases())
+    assert world.runs == ["restart"]
 
 
 class Stuck:

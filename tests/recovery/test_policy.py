@@ -420,6 +420,21 @@ def test_an_action_not_permitted_in_flight_is_only_advised() -> None:
     assert decision.why == "flight-critical, and the autopilot is armed"
 
 
+@pytest.mark.parametrize(("condition", "first"), [("exited", "start"), ("oom", "start"), ("paused", "unpause")])
+def test_what_disturbs_no_other_container_is_repeated_in_flight(condition: str, first: str) -> None:
+    """A restart might take down a flight-critical container that uses its network. The first step cannot."""
+    history = History([AttemptRecord(1000.0, "health/app", condition, first, False)])
+
+    def say_while(forbidden: frozenset[str], now: float = 1001.0) -> object:
+        given = {"target": APP, "settings": RULES, "container_wide": SHARED}
+        return decide(fault(condition), history, now, forbids=lambda action: "armed" * (action in forbidden), **given)  # type: ignore[arg-type]
+
+    assert say_while(frozenset()) == Act("restart", 2)
+    assert say_while(SHARED) == Act(first, 2)
+    assert say_while(SHARED, 1000.9) == Wait(1001.0, "backing off")
+    assert say_while(SHARED | {first}) == Advise("restart", "armed", again_at=1003.0)
+
+
 @pytest.mark.parametrize("mode", ["act", "advise", "off"])
 def test_phms_own_steps_need_neither_opt_in_nor_mode(mode: str) -> None:
     """Joining a network affects only PHM, and without it PHM sees nothing."""
@@ -466,3 +481,15 @@ def test_lowering_a_cpu_weight_uses_no_budget() -> None:
     assert say(lowered) == Act("restart", 1)
     spent = History([AttemptRecord(900.0 + n, f"unit{n}", "x", "restart", True) for n in range(5)])
     assert say(spent, fault=fault("cpu_starved")) == Act("relieve", 1)
+
+
+def test_what_phm_does_to_itself_has_a_separate_budget() -> None:
+    """PHM without its networks sees nothing; and how often it joins them must not be the reason for leaving a container down."""
+    own = frozenset({"join_network"})
+    restarts = History([AttemptRecord(900.0 + n, f"unit{n}", "x", "restart", True) for n in range(5)])
+    assert say(restarts, fault=fault("sidecar_disconnected"), unrestricted=own) == Act("join_network", 1)
+    joins = History([AttemptRecord(900.0 + n, "network/app", "x", "join_network", True) for n in range(5)])
+    assert say(joins, unrestricted=own) == Act("restart", 1)
+    assert say(joins, fault=fault("exited"), unrestricted=own) == Act("start", 1)
+    spent = say(joins, fault=fault("sidecar_disconnected"), unrestricted=own)
+    assert spent == Wait(1500.0, "budget of 5 actions used up", report=True)

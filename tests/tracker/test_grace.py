@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
+
 from phm.api import Level
 from phm.core.model import Evidence
 from tests.fakes.tracker_bench import BAD, OK, Bench, chain, unit
@@ -52,6 +54,16 @@ def test_missing_units_are_unknown_during_grace_after_start() -> None:
     bench.later(4.9)
     assert bench.opened == []
     bench.later(0.2)
+    assert bench.opened == ["nodes"]
+
+
+def test_a_defect_in_one_unit_does_not_stop_the_time_of_others() -> None:
+    """Here a result that no check may return (`phm.checking.result_check`)."""
+    bench = Bench([unit("odd", grace_s=5.0), unit("nodes", grace_s=5.0)])
+    with pytest.raises(TypeError):
+        bench.see("odd", replace(BAD, evidence=Evidence(observed=None)))  # type: ignore[arg-type]
+    bench.see("nodes", BAD)
+    bench.later(5.1)
     assert bench.opened == ["nodes"]
 
 

@@ -142,7 +142,9 @@ class CpuWeights:
             self._put_back(entry)
 
     def _put_back(self, entry: LoweredWeight) -> None:
-        """A container that was recreated since has the weight that it was created with."""
+        """A container that was recreated since has the weight that it was created with. What is noted meanwhile stays: another thread
+        has lowered the weight again."""
+        before = [other for other in self.kept() if other.key == entry.key]
         try:
             shares = self._set_back(entry, self._container(entry.id))
         except EngineMissing:
@@ -150,7 +152,9 @@ class CpuWeights:
         except CannotTell:
             return  # at the next tick
         with self._lock:
-            self._lowered = {noted: other for noted, other in self._lowered.items() if other.key != entry.key}
+            self._lowered = {
+                noted: other for noted, other in self._lowered.items() if not any(other is each for each in before)
+            }
             self._put_back_at[entry.key] = self._clock.mono()
         if shares:
             self._pipeline.note("ACTION", f"restored the CPU weight of {entry.key} to {shares}")

@@ -9,9 +9,12 @@ from phm.core.settings import ContainerSettings
 from phm.facts import CannotTell, ContainerFact
 from phm.recovery.actions._networks import has_its_own, missing, not_there, reconnect_stopped
 from phm.recovery.base import Action, ActionContext, FlightCriticalError, Target, container_settings, present
+from phm.transport.docker import EngineMissing
 
 MOST_STOP_S = 120.0
 """PHM waits at most this long even if the container has a longer stop timeout: the container has failed already."""
+UP = ("running", "paused")
+"""States in which a container has processes, and others may join its namespaces."""
 CALLS = 8
 """So many calls to the engine may each take their longest time before the action is abandoned, beside the time for the stop."""
 FOLLOW_CALLS = 3
@@ -21,8 +24,8 @@ FOLLOW_CALLS = 3
 class Restart(Action):
     """Stop gracefully (SIGTERM, stop timeout), start, then restart its dependents.
 
-    Not while a configured network of the container is missing: a restart does not create it, and may leave the
-    container stopped.
+    Not while a configured network of the container is missing, or a container whose namespace it uses is down: a restart does not
+    bring it back, and may leave the container stopped.
     """
 
     name = "restart"
@@ -33,11 +36,12 @@ class Restart(Action):
         return restart_limit_s(context)
 
     def waits_for(self, target: Target, fault: Fault, context: ActionContext) -> str:
-        networks = container_settings(target).networks
-        if not networks or not has_its_own(present(target, context)):
-            return ""
-        gone = missing(networks, context)
-        return not_there(gone) if gone else ""
+        networks, fact = container_settings(target).networks, present(target, context)
+        gone = missing(networks, context) if networks and has_its_own(fact) else []
+        if gone:
+            return not_there(gone)
+        refs = owners(fact, network_only=False) if fact.status in UP else []
+        return next((why for ref in refs if (why := _down(ref, context))), "")
 
     def run(self, target: Target, fault: Fault, context: ActionContext) -> str:
         fact = present(target, context)
@@ -45,6 +49,19 @@ class Restart(Action):
             reconnect_stopped(container_settings(target), fact, context)
         restart_gracefully(fact, context)
         return f"restarted {target.key}{restart_dependents(target, fact, fault, context)}"
+
+
+def _down(ref: str, context: ActionContext) -> str:
+    """Why a container that uses a namespace of `ref` cannot be started now, as a sentence; empty: it can. Raises CannotTell."""
+    try:
+        owner = context.engine.inspect(ref)
+    except EngineMissing:
+        short = ref if len(ref) < 64 else ref[:12]
+        return f"{short}, whose namespace it uses, was removed, and a restart would leave it stopped"
+    if (owner.get("State") or {}).get("Status") in UP:
+        return ""
+    name = str(owner.get("Name") or ref).lstrip("/")
+    return f"{name}, whose namespace it uses, does not run: PHM waits until it does"
 
 
 def restart_gracefully(fact: ContainerFact, context: ActionContext) -> None:

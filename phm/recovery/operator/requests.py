@@ -13,7 +13,6 @@ from phm.core.model import Fault, Level, Phase, Result, Stamp, UnitState
 from phm.core.settings import RecoverySettings
 from phm.recovery.base import Target
 from phm.recovery.fault_cases import ActionReporter, FaultCase, History
-from phm.recovery.ladders import GENTLE
 from phm.recovery.operator.approval import Approval, NotAllowed, NotApprovable, NotNow, Situation
 from phm.recovery.ownership import Shared
 from phm.recovery.policy import Act, ActionRules, Advise, Decision, GiveUp, Skip, Wait
@@ -123,7 +122,7 @@ class OperatorRequests:
     ) -> None:
         """forbids: why an action must wait until the vehicle is disarmed; empty: it need not."""
         self._target, self._history, self._settings, self._holds = target, history, rules.settings, rules.holds
-        self._forbids, self._reporter = forbids, reporter
+        self._forbids, self._reporter, self._unrestricted = forbids, reporter, rules.catalog.unrestricted
         self.approvals = Approvals(target.name, shared, rules.armed, rules.settings.approval, reporter)
         self._pipeline, self._clock = shared.pipeline, shared.clock
         self._case: FaultCase | None = None
@@ -184,15 +183,23 @@ class OperatorRequests:
             self._clock.mono(),
             forbidden=self._forbids(RESTART),
             settings=self._settings,
+            unrestricted=self._unrestricted,
         )
 
 
 def check_permitted(
-    target: Target, history: History, now: float, *, forbidden: str, settings: RecoverySettings
+    target: Target,
+    history: History,
+    now: float,
+    *,
+    forbidden: str,
+    settings: RecoverySettings,
+    unrestricted: frozenset[str] = frozenset(),
 ) -> None:
     """Raises NotAllowed and NotNow. Neither mode `advise` nor back-off apply: the operator has decided. Pure.
 
-    forbidden: why the container must not be restarted while the vehicle may be armed; empty: it may.
+    forbidden: why the container must not be restarted while the vehicle may be armed; empty: it may. unrestricted: actions on PHM's
+    own container and links: they use up no budget of the container.
     """
     if target.container is None:
         raise NotAllowed("there is no such container in the configuration")
@@ -202,7 +209,7 @@ def check_permitted(
         raise NotAllowed(f"{target.key} has not opted in (recover: true)")
     if forbidden:
         raise NotNow(f"{target.key} is not restarted: {forbidden}")
-    recent = [made for made in history.within(now - settings.window) if made.action not in GENTLE]
+    recent = history.in_budget(now - settings.window, unrestricted)
     if len(recent) >= settings.budget:
         left_s = recent[-settings.budget].at + settings.window - now
         raise NotNow(f"the budget of {settings.budget} actions on {target.key} is used up for {left_s:.0f} s")

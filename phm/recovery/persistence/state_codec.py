@@ -45,7 +45,7 @@ def encode(state: PersistedState, boot: str, now: Stamp) -> dict[str, Any]:
         "attempts": {target: [_attempt(each, now) for each in made[-KEPT:]] for target, made in newest if made},
         "cases": {
             name: {
-                "refused": case.refused,
+                "refused": False,  # 0.2.0 reads no state without it
                 "reported": [text[:MAX_TEXT] for text in case.reported[:MAX_REPORTED]],
                 "approved": case.approved[:MAX_TEXT],
                 "advised": case.advised[:MAX_TEXT],
@@ -161,7 +161,6 @@ def _read_attempt(body: Any, clocks: _Clocks) -> AttemptRecord:
 
 def _read_case(body: Any) -> PersistedCase:
     return PersistedCase(
-        refused=body["refused"] is True,
         reported=tuple(str(text) for text in body["reported"][:MAX_REPORTED]),
         approved=str(body["approved"])[:MAX_TEXT],
         advised=str(body.get("advised", ""))[:MAX_TEXT],

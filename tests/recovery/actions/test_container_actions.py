@@ -74,6 +74,25 @@ def test_a_namespace_shared_by_name_counts_too(fake: FakeEngine, ask: DockerEngi
     assert acted_on(fake, "start", "restart") == ["app", "side", "late"]
 
 
+@pytest.mark.parametrize("mode", ["NetworkMode", "PidMode", "IpcMode"])
+def test_a_restart_waits_for_the_owner_of_a_namespace(fake: FakeEngine, ask: DockerEngine, mode: str) -> None:
+    """The engine would stop the container and then refuse to start it. One that is down anyway loses nothing."""
+    made = stack(fake, ask)
+    owner = fake.containers["app"]
+    fake.containers["side"]["HostConfig"].update({"NetworkMode": "bridge", mode: f"container:{owner['Id']}"})
+
+    def waits() -> str:
+        return Restart().waits_for(made.target("side"), EXITED, made.context())
+
+    assert waits() == ""
+    fake.set("app", status="exited", exit_code=1)
+    assert waits() == "app, whose namespace it uses, does not run: PHM waits until it does"
+    del fake.containers["app"]
+    assert waits() == f"{owner['Id'][:12]}, whose namespace it uses, was removed, and a restart would leave it stopped"
+    fake.set("side", status="exited", exit_code=1)
+    assert waits() == ""
+
+
 def test_an_unnecessary_start_restarts_no_dependent(fake: FakeEngine, ask: DockerEngine) -> None:
     """Started twice: the second time dependents are not touched."""
     made = stack(fake, ask)

@@ -166,6 +166,29 @@ def test_a_weight_stays_low_until_no_starved_container_needs_it() -> None:
     assert after.kept() == () and published.notes == [f"restored the CPU weight of cam to {DEFAULT_SHARES}"]
 
 
+def test_a_weight_that_is_lowered_again_while_it_is_restored_is_restored_later() -> None:
+    """By the thread of another starved container."""
+    cam = testing.container("cam")
+
+    class Slow(Shares):
+        again = True
+
+        def set_cpu_shares(self, container: str, shares: int) -> None:
+            super().set_cpu_shares(container, shares)
+            if shares == 512 and self.again:
+                self.again = False
+                assert relief.lower("cam", cam, "pressure/b", cast(Any, self))
+
+    engine = Slow()
+    engine.shares = LOW_SHARES
+    relief = CpuWeights(cast(Any, engine), lambda ref: cam, Published(), FakeClock())
+    relief.restore([LoweredWeight("cam", cam.id, 512, "pressure/a")])
+    relief.tick()
+    assert engine.shares == LOW_SHARES and "pressure/b" in [entry.unit for entry in relief.kept()]
+    relief.tick()
+    assert (engine.shares, relief.kept()) == (512, ())
+
+
 def test_a_low_weight_that_phm_has_not_set_is_not_changed() -> None:
     """It is the container's own."""
     engine, clock = Shares(), FakeClock()

@@ -115,6 +115,7 @@ def test_a_missing_network_is_waited_for_when_the_others_are_connected(fake: Fak
 def test_a_container_without_its_own_networks_waits_for_none(fake: FakeEngine, ask: DockerEngine, mode: str) -> None:
     """It is never connected to one."""
     made = agent(fake, ask, exists=False)
+    fake.containers["other"] = container("other")
     fake.containers["app"]["HostConfig"]["NetworkMode"] = mode
     assert waits(made, Restart) == ""
 

@@ -81,10 +81,13 @@ def test_the_budget_applies_to_requested_restarts(agents: list[Agent]) -> None:
 
 
 def test_the_budget_of_restarts_leaves_out_what_disturbs_no_container() -> None:
-    """`relieve` lowers the CPU weight of others. Where more was done than the budget allows, the newest of it count."""
+    """`relieve` lowers the CPU weight of others, `join_network` connects PHM. Where more was done than the budget allows, the newest of it count."""
     target, settings = Target.of(ContainerSettings(name="app", recover=True)), RecoverySettings(budget=2, window=600.0)
     gentle = [AttemptRecord(100.0 + at, "pressure/app", "cpu_starved", "relieve", True) for at in range(5)]
     check_permitted(target, History(gentle), 200.0, forbidden="", settings=settings)
+    own = [AttemptRecord(100.0 + at, "network/app", "sidecar_disconnected", "join_network", True) for at in range(5)]
+    unrestricted = frozenset({"join_network"})
+    check_permitted(target, History(own), 200.0, forbidden="", settings=settings, unrestricted=unrestricted)
     starts = [AttemptRecord(at, "container/app", "exited", "start", False) for at in (100.0, 150.0, 190.0)]
     with pytest.raises(NotNow, match="used up for 550 s"):
         check_permitted(target, History(starts), 200.0, forbidden="", settings=settings)

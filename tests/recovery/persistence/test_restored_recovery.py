@@ -15,6 +15,7 @@ from phm.checking.pipeline import Pipeline
 from phm.core.bus import Bus
 from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Level, Note, Phase, Transition
 from phm.core.settings import ContainerSettings, Settings
+from phm.facts import NotPermitted
 from phm.recovery.base import Action, ActionContext, Target
 from phm.recovery.executor import Executor, NotApprovable
 from phm.recovery.persistence.persistence_service import PersistenceService
@@ -230,6 +231,23 @@ def test_an_interrupted_action_is_an_attempt_and_repeated(lives: Callable[..., L
     assert [made.worked for made in second.executor.persisted().attempts["app"]] == [False, True]
 
 
+def test_an_action_that_was_not_permitted_is_tried_again(lives: Callable[..., Life]) -> None:
+    """The operator corrects the socket proxy and restarts PHM."""
+
+    def refuse(name: str) -> None:
+        raise NotPermitted("HTTP 403")
+
+    first = lives()
+    first.behave = refuse
+    first.until(lambda: Phase.FAILED in first.phases())
+    first.rest()
+    first.die()
+    second = lives()
+    second.behave = lambda name: setattr(second, "healthy", True)
+    second.until(lambda: Phase.VERIFIED in second.phases())
+    assert first.runs == second.runs == ["restart"]
+
+
 @pytest.mark.parametrize("returned", [False, True])
 def test_only_a_call_without_a_response_may_still_start_the_container(
     lives: Callable[..., Life], returned: bool
@@ -258,6 +276,30 @@ def test_a_unit_that_recovered_meanwhile_is_not_acted_on(lives: Callable[..., Li
     second.rest()
     assert second.runs == []
     assert second.of(FaultClosed)[0].fault.by == "restart"
+
+
+@pytest.mark.parametrize("first_seen_by", ["the bus", "the worker"])
+def test_an_interrupted_action_ends_with_its_fault(lives: Callable[..., Life], first_seen_by: str) -> None:
+    """Whichever thread sees that first: as long as the action lasts, other failures of the container are no faults."""
+    first, stuck = lives(), threading.Event()
+    first.hangs, first.behave = True, lambda name: cast(None, stuck.wait(120))
+    first.until(lambda: bool(first.runs))
+    first.die()
+    second = lives()
+    stuck.set()
+    assert second.pipeline.action_on("app") == "restart"
+    worker = second.executor._workers["app"]
+    closed = worker.closed
+
+    def late(fault: Fault) -> None:
+        worker._current()
+        closed(fault)
+
+    worker.closed = late if first_seen_by == "the worker" else closed  # type: ignore[method-assign]
+    second.healthy = True
+    second.until(lambda: bool(second.of(FaultClosed)))
+    second._step()
+    assert second.pipeline.action_on("app") == ""
 
 
 def test_the_fault_of_a_removed_unit_is_closed(lives: Callable[..., Life]) -> None:

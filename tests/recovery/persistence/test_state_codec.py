@@ -55,7 +55,7 @@ FULL = PersistedState(
     (fault("ab12-2"),),
     RecoveryState(
         {"app": (replace(attempt(90.0), backoff_reset=True, not_counted=True), attempt())},
-        {"ab12-1": PersistedCase(True, ("advised start",), "start", "restart")},
+        {"ab12-1": PersistedCase(("advised start",), "start", "restart")},
         {"app": UnfinishedAction("ab12-1", replace(attempt(99.0), took_s=1.5), returned=True)},
         {
             "app": Generation("id2", "2026-01-01T00:00:00Z", 97.0, 92.0, StartedBy.PHM, "app"),
