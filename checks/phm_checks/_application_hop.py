@@ -17,20 +17,16 @@ POLL_S = 5.0
 
 
 class ApplicationHop:
-    """`nodes[].commands` name the nodes. Without them the container is inferred (`Settings.command_container`): its only node is
-    the hop; of several nodes, PHM does not know which one passes commands on, so only all of them together are.
+    """`nodes[].commands` name the nodes. Without them the container is inferred (`Settings.command_container`), or where no container
+    may be it, the nodes without one: the only node is the hop; of several nodes, PHM does not know which one passes commands on, so
+    only all of them together are.
     """
 
     def __init__(self, settings: api.Settings) -> None:
         self._grace_s = settings.ros.grace
-        names = [node.name for node in settings.ros.nodes if node.commands]
-        self.container = "" if names else settings.command_container
-        self._all = not names
-        if self.container:
-            names = [
-                node.name for node in settings.ros.nodes if settings.container_of_node(node.name) == self.container
-            ]
-        self._nodes = [f"/{api.topic_id(name)}" for name in names]
+        self._all = not any(node.commands for node in settings.ros.nodes)
+        self.container = settings.command_container if self._all else ""
+        self._nodes = [f"/{api.topic_id(name)}" for name in settings.command_nodes]
         self.unclear = settings.command_path_unclear
         self._asked_at = float("-inf")
         self._fact: api.ContainerFact | None = None

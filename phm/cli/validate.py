@@ -100,8 +100,8 @@ def _unclear_path(good: Configuration) -> list[str]:
     if not settings.command_path_unclear or not any(entry.to_autopilot for entry in settings.mavlink.endpoints):
         return []
     return [
-        f"{good.file}: mavlink.application: several containers may pass commands to the autopilot, so the application is not part "
-        "of the unit `path`. Name one, set `commands: true` at a node of `ros.nodes`, or write none"
+        f"{good.file}: mavlink.application: which container passes commands to the autopilot is not known, so the application is "
+        "not part of the unit `path`. Name it, set `commands: true` at a node of `ros.nodes`, or write none"
     ]
 
 

@@ -11,7 +11,9 @@ import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-HEADER = "std_msgs/Header"
+HEADER, TIME = "std_msgs/Header", "builtin_interfaces/Time"
+STAMPS = frozenset({"stamp", "timestamp", "timestamp_sample"})
+"""Names of stamps. Those of PX4's messages are numbers; a time with another name, e.g. `time_ref`, is content."""
 INTEGER_BITS: Mapping[str, int] = {f"{sign}int{bits}": bits for sign in ("", "u") for bits in (8, 16, 32, 64)}
 NUMBERS = frozenset({*INTEGER_BITS, "float", "double", "boolean"})
 COUNTERS = frozenset({*INTEGER_BITS, "float", "double"})
@@ -54,6 +56,35 @@ def has_header(type_name: str, of: FieldsOf = fields_of) -> bool | None:
     """Whether the type begins with std_msgs/Header; None: unknown."""
     fields = of(type_name)
     return None if fields is None else next(iter(fields.values()), "") == HEADER
+
+
+def stamps(fields: Mapping[str, str], *, top: bool) -> frozenset[str]:
+    """Names of the fields that only say when. top: of the message itself, where also a time that comes first is one, and numbers."""
+    return frozenset(
+        name
+        for place, (name, kind) in enumerate(fields.items())
+        if (kind == TIME and (name in STAMPS or (top and place == 0))) or (top and name in STAMPS and kind in COUNTERS)
+    )
+
+
+def has_other_stamps(type_name: str, of: FieldsOf = fields_of) -> bool | None:
+    """Whether the type has stamps elsewhere than in a std_msgs/Header that it begins with; None: unknown."""
+    fields = of(type_name)
+    if fields is None:
+        return None
+    found, seen, inside = bool(stamps(fields, top=True)), set(), list(fields.values())
+    if inside[:1] == [HEADER]:
+        del inside[0]
+    while inside and not found:
+        kind = inside.pop()
+        array = _ARRAY.fullmatch(kind)
+        kind = array[1] or array[2] if array else kind
+        if "/" in kind and kind not in seen:
+            seen.add(kind)
+            fields = of(kind) or {}
+            found = bool(stamps(fields, top=False))
+            inside += fields.values()
+    return found
 
 
 def field_type(type_name: str, name: str, of: FieldsOf = fields_of) -> str | None:

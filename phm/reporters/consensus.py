@@ -17,7 +17,9 @@ UNIT = "consensus"
 AT_LEAST_S = 5.0
 """Without a change it is published this often."""
 MAX_NODES = 200
-MAX_NAMES = 255
+MAX_TEXT = 255
+MAX_NAMES = 400_000
+"""Characters of all lists of observers with one verdict: the ROS child takes at most `phm.probes.ros.protocol.LINE_LIMIT`."""
 _LEVELS: Mapping[str, Level] = {
     "alive": Level.OK,
     "hung": Level.ERROR,
@@ -83,16 +85,24 @@ class ConsensusReporter(Reporter):
     def _statuses(self, result: Result) -> dict[str, DiagnosticFact]:
         """Without a consensus, the nodes of the last one as STALE with the reason."""
         if not result.votes:
-            unknown = DiagnosticFact(0.0, int(Level.STALE), one_line(result.summary)[:MAX_NAMES], self._agent)
+            unknown = DiagnosticFact(0.0, int(Level.STALE), one_line(result.summary)[:MAX_TEXT], self._agent)
             return dict.fromkeys(self._last, unknown)
-        return {f"phm/{self._agent}/consensus: {node.node}": self._status(node) for node in result.votes[:MAX_NODES]}
+        nodes = result.votes[:MAX_NODES]
+        most = MAX_NAMES // len(nodes)
+        return {f"phm/{self._agent}/consensus: {node.node}": self._status(node, most) for node in nodes}
 
-    def _status(self, node: NodeVotes) -> DiagnosticFact:
-        values = {"node": node.node, "verdict": node.verdict, "alive": _names(node.alive), "dead": _names(node.dead)}
+    def _status(self, node: NodeVotes, most: int) -> DiagnosticFact:
+        alive, dead = _names(node.alive, most), _names(node.dead, most)
+        values = {"node": node.node, "verdict": node.verdict, "alive": alive, "dead": dead}
         votes = f"{len(node.alive)} alive, {len(node.dead)} dead"
         level = int(_LEVELS.get(node.verdict, Level.STALE))
         return DiagnosticFact(0.0, level, f"{node.verdict}: {votes}", self._agent, values)
 
 
-def _names(observers: tuple[str, ...]) -> str:
-    return one_line(", ".join(observers))[:MAX_NAMES]
+def _names(observers: tuple[str, ...], most: int) -> str:
+    """The names, without the last ones of more than `most` characters."""
+    text = one_line(", ".join(observers))
+    if len(text) <= most:
+        return text
+    shown = text[:most].rpartition(", ")[0]
+    return f"{shown}, and {len(observers) - shown.count(', ') - 1} more"

@@ -72,9 +72,27 @@ def test_an_inferred_container_is_a_dependency_and_its_only_node_too() -> None:
     assert ApplicationHop(chosen(APP, ros={"nodes": nodes})).needs == ("container/app",)
 
 
+def test_nodes_without_a_container_are_the_application_where_no_container_is() -> None:
+    """ROS on the host: its only node is a dependency, of several only all of them together are the hop."""
+    nodes = [{"name": "/a"}, {"name": "/b"}]
+    assert ApplicationHop(chosen(ros={"nodes": nodes[:1]})).needs == ("nodes/a",)
+    hop = ApplicationHop(chosen(ros={"nodes": nodes}))
+    assert (hop.exists, hop.needs, hop.unclear) == (True, (), False)
+    none = ApplicationHop(chosen(ros={"nodes": nodes}, mavlink={"application": "none"}))
+    undecided = ApplicationHop(chosen(APP, DB, ros={"nodes": nodes}))
+    assert [(hop.exists, hop.unclear) for hop in (none, undecided)] == [(False, False), (False, True)]
+
+
+def test_nodes_in_the_router_s_container_do_not_decide() -> None:
+    """It is the only configured one, so it is theirs unless they name another: no container remains, and that is said."""
+    hop = ApplicationHop(chosen({"name": "router"}, endpoint=ROUTER, ros={"nodes": [{"name": "/a"}]}))
+    assert (hop.exists, hop.unclear) == (False, True)
+
+
 class Scene:
-    def __init__(self, *nodes: str) -> None:
-        self.hop = ApplicationHop(chosen(APP, ros={"nodes": [{"name": name} for name in nodes]}))
+    def __init__(self, *nodes: str, host: bool = False) -> None:
+        containers = [] if host else [APP]
+        self.hop = ApplicationHop(chosen(*containers, ros={"nodes": [{"name": name} for name in nodes]}))
         self.clock, self.docker = testing.FakeClock(), testing.FakeDocker(testing.container("app"))
         self.ros = testing.FakeRos(nodes=dict.fromkeys(nodes, 1))
 
@@ -102,9 +120,10 @@ def test_a_container_that_does_not_run_breaks_the_path() -> None:
     assert scene.evaluate(0.5) == (HopState.UNKNOWN, "the Docker Engine does not answer")
 
 
-def test_one_of_several_nodes_makes_the_hop_weak_and_all_of_them_break_it() -> None:
+@pytest.mark.parametrize("host", [False, True])
+def test_one_of_several_nodes_makes_the_hop_weak_and_all_of_them_break_it(host: bool) -> None:
     """The text names the first three."""
-    scene = Scene("/a", "/b")
+    scene = Scene("/a", "/b", host=host)
     scene.ros.change(nodes={"/a": 1})
     assert scene.evaluate() == (HopState.WEAK, "b not in the graph")
     scene.ros.change(nodes={})

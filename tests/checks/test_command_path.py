@@ -269,14 +269,15 @@ def test_a_node_that_executes_commands_is_part_of_the_path() -> None:
 
 
 def test_other_nodes_are_not_part_of_the_path() -> None:
-    """Only nodes with `commands: true` are hops."""
-    world = PathWorld(ros={"nodes": [{"name": "/a/camera"}]})
-    world.ros.change(nodes={"/a/camera": 1})
+    """Only nodes with `commands: true` are hops, where there are any."""
+    world = PathWorld(ros={"nodes": [NODE, {"name": "/a/camera"}]})
+    listed(world)
+    world.ros.change(nodes={**world.ros.snapshot().nodes, "/a/camera": 1})
     world.run(20.0)
-    world.ros.change(nodes={})
+    listed(world)
     world.run(30.0)
     assert world.blocked() == {}
-    assert "application" not in world.text("path")
+    assert "application ok" in world.text("path")
 
 
 @pytest.mark.parametrize("beacon", [BeaconFact(8.0, 0.5), BeaconFact(0.2, 0.5, late_s=9.0)], ids=["silent", "late"])

@@ -56,7 +56,7 @@ def test_an_application_that_cannot_be_inferred_is_a_warning(file: Path) -> None
         file.write_text(text)
         done = CliRunner().invoke(command, [str(file)])
         assert done.exit_code == 0
-        assert ("mavlink.application: several containers may pass commands" in done.stderr) is warned
+        assert ("mavlink.application: which container passes commands" in done.stderr) is warned
 
 
 def test_json_has_the_same_contents(file: Path) -> None:

@@ -14,6 +14,7 @@ from phm.core.message_fields import (
     field_type,
     fields_of,
     has_header,
+    has_other_stamps,
 )
 
 MODULE = """
@@ -38,8 +39,15 @@ TYPES = {
         "other": "absent_msgs/Thing",
     },
     "Empty": {},
+    "Time": {"sec": "int32", "nanosec": "uint32"},
+    "Path": {"header": "std_msgs/Header", "fixes": "sequence<phm_test_msgs/Stamped>"},
+    "Stamped": {"x": "double", "stamp": "builtin_interfaces/Time"},
+    "Began": {"began": "builtin_interfaces/Time", "x": "double"},
+    "Reference": {"header": "std_msgs/Header", "time_ref": "builtin_interfaces/Time", "from": "phm_test_msgs/Began"},
+    "Px4": {"timestamp": "uint64", "x": "float"},
+    "OfPx4": {"all": "phm_test_msgs/Px4[3]"},
 }
-FILES = {"GPSFix": "_gps_fix.py", "Status": "_status.py", "Empty": "_empty.py"}
+FILES = {"GPSFix": "_gps_fix.py", "OfPx4": "_of_px4.py"}
 FIX, STATUS = "phm_test_msgs/msg/GPSFix", "phm_test_msgs/msg/Status"
 
 
@@ -51,7 +59,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "phm_test_msgs" / "__init__.py").write_text("raise RuntimeError('executed')")
     for name, fields in TYPES.items():
         lines = "\n".join(f"        {key!r}: {kind!r}," for key, kind in fields.items())
-        (folder / FILES[name]).write_text(MODULE.format(name=name, fields=lines))
+        (folder / FILES.get(name, f"_{name.lower()}.py")).write_text(MODULE.format(name=name, fields=lines))
     monkeypatch.syspath_prepend(str(tmp_path))
     return folder
 
@@ -89,6 +97,15 @@ def test_a_damaged_module_has_no_fields(package: Path, text: str) -> None:
 def test_a_header_must_come_first() -> None:
     """A message has a usable stamp only if its first field is a std_msgs/Header."""
     assert (has_header(FIX), has_header(STATUS), has_header("phm_test_msgs/msg/Empty")) == (True, False, False)
+
+
+@pytest.mark.parametrize(
+    ("stamped", "names"),
+    [(True, "Path Stamped Began Px4"), (False, "GPSFix Status Empty Time Reference OfPx4"), (None, "Absent")],
+)
+def test_stamps_outside_of_the_header_are_known(stamped: bool | None, names: str) -> None:
+    """Of a message in an array, one that comes first, PX4's number. A time of another name, or a number further inside, is none."""
+    assert {has_other_stamps(f"phm_test_msgs/msg/{name}") for name in names.split()} == {stamped}
 
 
 def test_a_field_may_be_nested() -> None:

@@ -12,7 +12,8 @@ import phm
 from phm.core.model import Level, NodeVotes, Result, Slot
 from phm.core.settings import Settings
 from phm.facts.ros import CONSENSUS, DIAGNOSTICS, DiagnosticFact
-from phm.reporters.consensus import AT_LEAST_S, ConsensusReporter
+from phm.probes.ros.protocol import LINE_LIMIT, Publish, encode_order
+from phm.reporters.consensus import AT_LEAST_S, MAX_NODES, ConsensusReporter
 from phm.testing import FakeClock
 from tests.fakes.records import context, transition, unit
 
@@ -73,6 +74,29 @@ def test_each_node_is_a_status_with_its_votes() -> None:
         "alive": "PHM",
         "dead": "agent_1/a, agent_1/b",
     }
+
+
+def observers(count: int) -> tuple[str, ...]:
+    return tuple(f"agent_1/localization_node_{number}" for number in range(count))
+
+
+def test_many_observers_are_complete() -> None:
+    """A subscriber compares them with the names that it knows."""
+    scene = Scene(NodeVotes("agent_1/a", "alive", (*observers(30), "PHM")))
+    scene.tick()
+    assert scene.port.sent[0][A].values["alive"].split(", ") == [*observers(30), "PHM"]
+
+
+def test_extremely_many_observers_are_cut_between_names() -> None:
+    """All arrays pass the pipe to the ROS child in one line."""
+    names = observers(400)
+    scene = Scene(*(NodeVotes(f"agent_1/{number}", "dead", names, names) for number in range(MAX_NODES)))
+    scene.tick()
+    values = [fact.values for fact in scene.port.sent[0].values()]
+    assert len(encode_order(Publish(1.0, scene.port.sent[0], CONSENSUS))) < LINE_LIMIT
+    for text in (values[0]["alive"], values[-1]["dead"]):
+        *shown, more = text.split(", ")
+        assert tuple(shown) == names[: len(shown)] and more == f"and {400 - len(shown)} more"
 
 
 def test_consensus_is_published_on_change_and_every_few_seconds() -> None:

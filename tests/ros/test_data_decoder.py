@@ -11,9 +11,11 @@ import pytest
 
 from phm.core.message_fields import fields_of, has_header
 from phm.facts import FieldFact
-from phm.probes.ros.data.decoder import MAX_DECODED, Decoder, Undecodable, class_fields
+from phm.probes.ros.data.data_monitor import DataMonitor
+from phm.probes.ros.data.decoder import MAX_DECODED, Decoder, Undecodable, _content, class_fields
 from phm.probes.ros.data.raw_message import digest, stamp_ns
 from phm.probes.ros.protocol import WantedData, WantedRange
+from phm.probes.ros.reader import RawMessage
 
 # The parser in ROS's generated messages imports a module that Python has deprecated.
 pytestmark = pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning")
@@ -180,6 +182,93 @@ def test_a_counter_is_not_content() -> None:
     assert found.read(serialized(4.0))[0] == 4.0 and len(contents) == 1
     assert digest(found.read(serialized(1.0, frame="other"))[2], header=True) not in contents
     assert found.read(serialized(float("nan")))[0] is None
+
+
+def goal(seconds: int, status: int) -> Any:
+    from action_msgs.msg import GoalStatus, GoalStatusArray
+
+    one = GoalStatus(status=status)
+    one.goal_info.stamp.sec = seconds
+    return GoalStatusArray(status_list=[one])
+
+
+def log(seconds: int, level: int) -> Any:
+    from rcl_interfaces.msg import Log
+
+    message = Log(level=level, name="n")
+    message.stamp.sec = seconds
+    return message
+
+
+def clock(_: int, level: int) -> Any:
+    from rosgraph_msgs.msg import Clock
+
+    message = Clock()
+    message.clock.sec = level
+    return message
+
+
+@pytest.mark.parametrize("made", [goal, log, clock])
+def test_a_stamp_anywhere_is_not_content(made: Any) -> None:
+    """Also in messages of an array, and one that comes first; a message with nothing but a stamp is compared completely."""
+    from rclpy.serialization import serialize_message
+
+    kind = type(made(0, 0))
+    name = f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}"
+    found = Decoder(WantedData(frozen_s=1.0), name)
+    assert (found.usable, found.stamped, found.problem) == (True, True, "")
+    contents = [
+        digest(found.read(bytes(serialize_message(made(*values)))).content, header=False)
+        for values in ((1, 1), (2, 1), (2, 2))
+    ]
+    assert contents[0] == contents[1] != contents[2]
+
+
+def test_frozen_content_with_a_new_stamp_inside_is_found() -> None:
+    """Of a type without a header, in the messages of an array."""
+    from rclpy.serialization import serialize_message
+
+    monitor = DataMonitor(WantedData(frozen_s=2.0), 2.0)
+    for number in range(8):
+        data = bytes(serialize_message(goal(seconds=number, status=2)))
+        monitor.update(number / 2, "action_msgs/msg/GoalStatusArray", [RawMessage(data, b"w", 1, number)])
+    assert monitor.fact is not None and (monitor.fact.conditions, monitor.fact.problem) == (("data_frozen",), "")
+
+
+class Px4:
+    """As rosidl generates the class of a PX4 message."""
+
+    def __init__(self, timestamp: int, x: float) -> None:
+        self.timestamp = self.timestamp_sample = timestamp
+        self.x, self.inner = x, Inner(x)
+
+    @classmethod
+    def get_fields_and_field_types(cls) -> Mapping[str, str]:
+        return {"timestamp": "uint64", "timestamp_sample": "uint64", "x": "float", "inner": "px4_msgs/Inner"}
+
+
+class Inner:
+    def __init__(self, timestamp: float) -> None:
+        self.timestamp = timestamp
+
+    @classmethod
+    def get_fields_and_field_types(cls) -> Mapping[str, str]:
+        return {"timestamp": "double"}
+
+
+def test_the_stamps_of_px4_are_not_content() -> None:
+    """They are numbers of the message itself; others of that name count."""
+    contents = [b"".join(_content(Px4(*values), top=True)) for values in ((1, 1.0), (2, 1.0), (2, 2.0))]
+    assert contents == [b"1.0,1.0,", b"1.0,1.0,", b"2.0,2.0,"]
+
+
+@pytest.mark.parametrize(
+    ("name", "stamped"), [(TWIST, False), ("geometry_msgs/msg/Twist", False), ("a_msgs/msg/X", None)]
+)
+def test_a_type_without_other_stamps_is_not_decoded(name: str, stamped: bool | None) -> None:
+    """Its messages show without that whether their content changes."""
+    found = Decoder(WantedData(frozen_s=1.0), name)
+    assert (found.usable, found.stamped, found.problem) == (False, stamped, "")
 
 
 @pytest.mark.parametrize(

@@ -188,9 +188,23 @@ class Settings(Section):
         return found[0] if len(found) == 1 else ""
 
     @property
+    def command_nodes(self) -> list[str]:
+        """Names of the nodes through which commands may pass: those with `commands`, else those of the container, and where no
+        container may be the one, those without a container, e.g. on the host."""
+        marked = [node.name for node in self.ros.nodes if node.commands]
+        found = self._command_containers()
+        if marked or len(found) > 1 or self.mavlink.application == "none":
+            return marked
+        return [node.name for node in self.ros.nodes if self.container_of_node(node.name) == "".join(found)]
+
+    @property
     def command_path_unclear(self) -> bool:
-        """Whether several containers may be the one through which commands pass, and the configuration does not name it."""
-        return not any(node.commands for node in self.ros.nodes) and len(self._command_containers()) > 1
+        """Whether several containers, or none with nodes, may be the one through which commands pass, and the configuration does
+        not name it."""
+        if self.command_nodes or self.mavlink.application == "none":
+            return False
+        found = self._command_containers()
+        return len(found) > 1 or bool(self.ros.nodes and not found)
 
     def _command_containers(self) -> list[str]:
         """The containers that may pass commands on: not those at the other end of an endpoint, such as a router's. A rule that

@@ -41,7 +41,7 @@ class DataSettings(Section):
     order: bool = False
     """True: `header.stamp` must not go back."""
     frozen: Annotated[Seconds, Field(gt=0, le=3600)] | None = None
-    """The content, without stamp and counter, must change within this time; default: not checked."""
+    """The content, without stamps and counter, must change within this time; default: not checked."""
     counter: FieldName | None = None
     """Field that its source increases by one for each message, e.g. `seq`; skipped numbers are gaps. Default: none."""
     gaps: Percent = 5.0

@@ -44,6 +44,8 @@ class DataMonitor:
         self._problem = ""
         """The problem of the newest message, else empty."""
         self._publishers: dict[bytes | None, PublisherData] = {}
+        self._repeated = False
+        """Two messages of this type were equal, so they have no stamp that would hide frozen content."""
         self._next_s = float("-inf")
         self._samples = 0
         self.fact: DataFact | None = None
@@ -72,7 +74,7 @@ class DataMonitor:
         return replace(worst_of(facts), samples=self._samples, problem=self._permanent() or self._problem)
 
     def _begin(self, type_name: str) -> None:
-        self._type = type_name
+        self._type, self._repeated = type_name, False
         self._publishers.clear()
         self._decoder = self._make_decoder(self._wanted, type_name)
         needed = self._wanted.header or self._wanted.frozen_s is not None
@@ -97,6 +99,7 @@ class DataMonitor:
             self._problem = self._problem or (_MIXED if self._wanted.order or self._wanted.counter else "")
         self._samples += 1
         publisher.add(examined)
+        self._repeated = self._repeated or publisher.repeats
 
     def _read(self, now_s: float, message: RawMessage) -> Examined:
         assert self._decoder is not None
@@ -124,6 +127,11 @@ class DataMonitor:
                 self._problem = self._problem or _NO_SEQUENCE
         if self._wanted.frozen_s is not None:
             found = replace(found, content=digest(data, header=header))
+            if self._decoder.stamped is None and not (header or self._repeated):
+                self._problem = self._problem or (
+                    f"frozen cannot be judged: the fields of {self._type} are unknown, so it may have a stamp that hides frozen "
+                    "content; name the folder with its package in ros.installs"
+                )
         return found
 
 

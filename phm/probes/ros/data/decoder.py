@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
-from phm.core.message_fields import HEADER, UnknownField, demand_counter, demand_number, demand_value
+from phm.core.message_fields import UnknownField, demand_counter, demand_number, demand_value, has_other_stamps, stamps
 from phm.facts.ros import FieldFact
 from phm.probes.ros.message_types import UnknownType, load_decodable
 from phm.probes.ros.protocol import WantedData
 
 MAX_DECODED = 200_000
-"""Longest message in bytes that is decoded; Python needs about 10 ms for the worst of this length."""
+"""Longest message in bytes that is decoded; Python needs about 10 ms for one of numbers, up to 100 ms for one of very small messages."""
 MAX_TEXT, MAX_FIELD_TEXT = 40, 200
 _BEFORE = 12
 """Bytes of encapsulation and stamp, which `phm.probes.ros.data.raw_message.digest` leaves out."""
@@ -47,7 +48,9 @@ class Decoder:
         self.problem = ""
         self.unreadable: tuple[FieldFact, ...] = ()
         self._fields: tuple[str, ...] = ()
-        if wanted.counter or wanted.ranges or wanted.fields:
+        self.stamped = has_other_stamps(type_name, class_fields) if wanted.frozen_s is not None else False
+        """Whether `frozen` needs messages to be decoded, for their stamps outside of a header; None: the type is unknown."""
+        if self.stamped or wanted.counter or wanted.ranges or wanted.fields:
             try:
                 self._prepare(type_name)
             except (UnknownType, UnknownField) as error:
@@ -97,20 +100,20 @@ class Decoder:
                 if self._wanted.counter:
                     owner, _, name = self._wanted.counter.rpartition(".")
                     setattr(_value(message, owner) if owner else message, name, type(counter)(0))
-                data = bytes(_BEFORE) + b"".join(_content(message, first=True))
+                # A message with nothing but a stamp is compared unchanged.
+                content = b"".join(_content(message, top=True))
+                data = bytes(_BEFORE) + content if content else data
         except Exception as error:  # exceptions of rclpy and pybind: what was sent is not such a message
             raise Undecodable(f"a message cannot be decoded: {str(error)[:200]}") from error
         return Decoded(counter if math.isfinite(counter) else None, outside, data, (*fields, *self.unreadable))
 
 
-def _content(value: Any, *, first: bool = False) -> Iterator[bytes]:
-    """The values of all fields but those of the stamp of a header that comes first. Not the serialized message: between fields that
-    are aligned it has bytes that nothing writes, which differ between equal messages."""
+def _content(value: Any, *, top: bool = False) -> Iterator[bytes]:
+    """The values of all fields but stamps. Not the serialized message: between fields that are aligned it has bytes that nothing
+    writes, which differ between equal messages."""
     if hasattr(value, "get_fields_and_field_types"):
-        for name, type_name in value.get_fields_and_field_types().items():
-            inner = getattr(value, name)
-            yield from _content(inner.frame_id if first and type_name == HEADER else inner)
-            first = False
+        for name in _names(type(value), top):
+            yield from _content(getattr(value, name))
     elif hasattr(value, "tobytes"):
         yield value.tobytes()
     elif isinstance(value, list | tuple):
@@ -119,6 +122,14 @@ def _content(value: Any, *, first: bool = False) -> Iterator[bytes]:
             yield from _content(inner)
     else:
         yield f"{value!r},".encode(errors="surrogatepass")
+
+
+@lru_cache(maxsize=256)
+def _names(message: Any, top: bool) -> tuple[str, ...]:
+    """Names of the fields of a class that are content."""
+    fields = message.get_fields_and_field_types()
+    only_when = stamps(fields, top=top)
+    return tuple(name for name in fields if name not in only_when)
 
 
 def class_fields(type_name: str) -> Mapping[str, str] | None:

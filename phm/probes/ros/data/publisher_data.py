@@ -137,6 +137,11 @@ class PublisherData:
             self._repeats += 1
 
     @property
+    def repeats(self) -> bool:
+        """Whether the newest message has the content of the one before."""
+        return self._repeats > 0
+
+    @property
     def _frozen_s(self) -> float:
         if self.last is None or self._first_same is None:
             return 0.0

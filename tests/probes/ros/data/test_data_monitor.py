@@ -17,7 +17,7 @@ from tests.fakes.ros_messages import SECOND, stamped
 TICK_S = 0.25
 NOW_NS = 1_700_000_000 * SECOND
 ONE, TWO = b"1" * 16, b"2" * 16
-TYPE = "my_msgs/msg/Odometry"
+TYPE, UNKNOWN = "my_msgs/msg/Odometry", "px4_msgs/msg/VehicleLocalPosition"
 
 
 class FakeDecoder(Decoder):
@@ -26,6 +26,7 @@ class FakeDecoder(Decoder):
     def __init__(self, wanted: WantedData, type_name: str) -> None:
         super().__init__(WantedData(), type_name)
         self.counter_bits, self.read_count = 8, 0
+        self.stamped = None if type_name == UNKNOWN else False
         self._wanted = wanted
 
     @property
@@ -205,6 +206,24 @@ def test_content_of_any_type_can_be_frozen() -> None:
         for _ in range(10):
             fact = bench.poll(bench.message(content))
         assert fact.conditions == ("data_frozen",) and fact.problem == ""
+
+
+def test_without_its_type_a_message_may_have_a_stamp_anywhere() -> None:
+    """So that it always differs says nothing. A message that has repeated has no stamp, and one with a header has it there."""
+    bench = Bench(header=None, frozen_s=1.0)
+    for number in range(10):
+        fact = bench.poll(bench.message(b"....%d" % number), type_name=UNKNOWN)
+    assert fact.conditions == () and "frozen cannot be judged" in fact.problem and UNKNOWN in fact.problem
+    for _ in range(10):
+        fact = bench.poll(bench.message(b"....same"), type_name=UNKNOWN)
+    assert (fact.conditions, fact.problem) == (("data_frozen",), "")
+    for number in range(4):
+        fact = bench.poll(bench.message(b"....%d" % number), type_name=UNKNOWN)
+    assert (fact.conditions, fact.problem) == ((), "")
+    bench = Bench(header=None, frozen_s=1.0)
+    for number in range(10):
+        fact = bench.poll(bench.stamped(b"%d" % number), type_name=UNKNOWN)
+    assert (fact.conditions, fact.problem) == ((), "")
 
 
 def test_a_message_that_cannot_be_decoded_is_named() -> None:
