@@ -27,6 +27,9 @@ from phm_checks import (
     topics,
 )
 from sitl.campaign.metrics import ClassMetrics, Figures
+from sitl.campaign.verdict import FLOOR_S
+from sitl.faults import all_faults
+from sitl.faults.base import Fault
 from sitl.simulation import radio
 
 RATIO = 2.0
@@ -108,17 +111,16 @@ class Explanation:
 
 @dataclass(frozen=True)
 class Wait:
-    """A wait that follows from the configuration or a constant of PHM, never from a measurement. limit_s: the fault's limit, on average;
-    waits_s: how long PHM waits after its evidence, at the longest.
+    """A wait that follows from the configuration or a constant of PHM, never from a measurement. waits_s: how long PHM waits after the
+    fault's evidence, at the longest.
     """
 
     words: str
-    limit_s: float
     waits_s: float
 
-    @property
-    def explanation(self) -> Explanation:
-        return Explanation(self.words, round((self.limit_s + self.waits_s) / self.limit_s, 1))
+    def explanation(self, limit_s: float) -> Explanation:
+        """limit_s: the fault's limit, on average."""
+        return Explanation(self.words, round((limit_s + self.waits_s) / limit_s, 1))
 
 
 _DATA_PATH_S = _data_path.SOON_S + _data_path.CONFIRM_S + SNAPSHOTS_S
@@ -129,75 +131,79 @@ _AUTOPILOT_S = MavlinkSettings().autopilot_timeout - 1.0 + READ_S
 """It counts from the last heartbeat, the evidence is the next one, a second later."""
 _PEER_S = (peers.LOST_PERIODS - 1) * default_periods(8)[0] + READ_S
 WAITS = {
-    "address_silent": Wait(_DATA_PATH, 0.1, _DATA_PATH_S),
-    "autopilot_reboot": Wait(_AUTOPILOT, 0.5, _AUTOPILOT_S),
-    "autopilot_silent": Wait(_AUTOPILOT, 0.5, _AUTOPILOT_S),
-    "callback_blocked": Wait(_EXECUTOR, 0.1, _EXECUTOR_S),
-    "clock_stepped": Wait("the clock is read once a second", 0.1, READ_S),
-    "container_killed": Wait(_REMOVAL, 0.1, _REMOVAL_S),
-    "container_created": Wait(_UNSTARTED, 0.1, container.UNSTARTED_S + container.Container.period_s),
-    "container_stopped": Wait(_AGAIN, 0.1, ASK_AGAIN_S),  # no `kill` of the engine: it may not be removed
+    "address_silent": Wait(_DATA_PATH, _DATA_PATH_S),
+    "autopilot_reboot": Wait(_AUTOPILOT, _AUTOPILOT_S),
+    "autopilot_silent": Wait(_AUTOPILOT, _AUTOPILOT_S),
+    "callback_blocked": Wait(_EXECUTOR, _EXECUTOR_S),
+    "clock_stepped": Wait("the clock is read once a second", READ_S),
+    "container_killed": Wait(_REMOVAL, _REMOVAL_S),
+    "container_created": Wait(_UNSTARTED, container.UNSTARTED_S + container.Container.period_s),
+    "container_stopped": Wait(_AGAIN, ASK_AGAIN_S),  # no `kill` of the engine: it may not be removed
     "cpu_hog": Wait(
         "ERROR needs `host.cpu` of 98 % in each of two seconds, or as the mean over `host.cpu_window`: shorter peaks are normal",
-        1.0,
         HostSettings().cpu_window + READ_S,
     ),
-    "cpu_limited": Wait(_WINDOW, 0.25, _WINDOW_S),
-    "crash_loop": Wait(_REMOVAL, 0.1, _REMOVAL_S),
-    "disk_full": Wait("the free share is read once a second", 0.5, READ_S),
-    "disk_slow": Wait(_DISK, 1.0, pressure.IO_S + READ_S),
-    "executor_deadlocked": Wait(_EXECUTOR, 0.1, _EXECUTOR_S),
-    "file_altered": Wait(_FILE, 0.1, _FILE_S),
-    "file_deleted": Wait(_FILE, 0.1, _FILE_S),
-    "file_not_executable": Wait(_FILE, 0.1, _FILE_S),
+    "cpu_limited": Wait(_WINDOW, _WINDOW_S),
+    "crash_loop": Wait(_REMOVAL, _REMOVAL_S),
+    "disk_full": Wait("the free share is read once a second", READ_S),
+    "disk_slow": Wait(_DISK, pressure.IO_S + READ_S),
+    "executor_deadlocked": Wait(_EXECUTOR, _EXECUTOR_S),
+    "file_altered": Wait(_FILE, _FILE_S),
+    "file_deleted": Wait(_FILE, _FILE_S),
+    "file_not_executable": Wait(_FILE, _FILE_S),
     "gcs_radio_cut": Wait(
         f"a SiK radio reports the loss of the other one {radio.FORGETS_S:g} s after its last packet, once a second",
-        0.5,
         radio.FORGETS_S + READ_S,
     ),
-    "healthcheck_hangs": Wait(_HANGS, 2.5, HEALTHCHECK_S - 1.0 + ASK_AGAIN_S),  # the limit is 1 s after its begin
-    "host_overload": Wait(_FULL_CPU, 2.0, HostSettings().cpu_window + READ_S),
-    "log_read_only": Wait(_LOG, 1.5, received_heartbeats.WRITE_S),
-    "memory_full": Wait("the memory in use is read once a second", 0.4, READ_S),
-    "memory_leak": Wait(_PROCESS, 0.1, _PROCESS_S),
-    "memory_tight": Wait(_WINDOW, 1.0, _WINDOW_S),
-    "netns_owner_killed": Wait(_REMOVAL, 0.1, _REMOVAL_S),
-    "network_blocked": Wait(_DATA_PATH, 0.1, _DATA_PATH_S),
-    "network_disconnected": Wait(_AGAIN, 0.1, ASK_AGAIN_S),
-    "network_lost_together": Wait(_AGAIN, 0.1, ASK_AGAIN_S),
-    "network_recreated": Wait(_AGAIN, 0.1, ASK_AGAIN_S),
-    "node_duplicate": Wait(_DUPLICATE, 0.1, nodes.BOTH_S + SNAPSHOTS_S),
-    "node_never_started": Wait(_LEFT_OUT, 1.0, _process_table.LATER + 1.0 + _process_table.SOON_S),
-    "node_killed": Wait(_PROCESS, 0.1, _PROCESS_S),
-    "node_stopped": Wait(_PROCESS, 0.1, _PROCESS_S),
-    "overload_node_killed": Wait(_PROCESS, 0.1, _PROCESS_S),
-    "peer_lost": Wait(_PEER, 1.0, _PEER_S),
-    "peer_split": Wait(_PEER, 1.0, _PEER_S),
-    "phm_killed_in_restart": Wait(_PROCESS, 0.1, _PROCESS_S),
+    "healthcheck_hangs": Wait(_HANGS, HEALTHCHECK_S - 1.0 + ASK_AGAIN_S),  # the limit is 1 s after its begin
+    "host_overload": Wait(_FULL_CPU, HostSettings().cpu_window + READ_S),
+    "log_read_only": Wait(_LOG, received_heartbeats.WRITE_S),
+    "memory_full": Wait("the memory in use is read once a second", READ_S),
+    "memory_leak": Wait(_PROCESS, _PROCESS_S),
+    "memory_tight": Wait(_WINDOW, _WINDOW_S),
+    "netns_owner_killed": Wait(_REMOVAL, _REMOVAL_S),
+    "network_blocked": Wait(_DATA_PATH, _DATA_PATH_S),
+    "network_disconnected": Wait(_AGAIN, ASK_AGAIN_S),
+    "network_lost_together": Wait(_AGAIN, ASK_AGAIN_S),
+    "network_recreated": Wait(_AGAIN, ASK_AGAIN_S),
+    "node_duplicate": Wait(_DUPLICATE, nodes.BOTH_S + SNAPSHOTS_S),
+    "node_never_started": Wait(_LEFT_OUT, _process_table.LATER + 1.0 + _process_table.SOON_S),
+    "node_killed": Wait(_PROCESS, _PROCESS_S),
+    "node_stopped": Wait(_PROCESS, _PROCESS_S),
+    "overload_node_killed": Wait(_PROCESS, _PROCESS_S),
+    "peer_lost": Wait(_PEER, _PEER_S),
+    "peer_split": Wait(_PEER, _PEER_S),
+    "phm_killed_in_restart": Wait(_PROCESS, _PROCESS_S),
     "phm_stopped": Wait(
-        "its watchdog must find it stopped twice, after 0.25 to 0.5 s: a short stop is not a fault", 0.125, 0.375
+        "its watchdog must find it stopped twice, after 0.25 to 0.5 s: a short stop is not a fault", 0.375
     ),
-    "pids_exhausted": Wait(_PIDS, 0.1, READ_S),
+    "pids_exhausted": Wait(_PIDS, READ_S),
     "qos_mismatch": Wait(
         f"the mismatch must last {topics.SURE_S:g} s and be found again, in snapshots of the graph four times a second",
-        0.3,
         topics.SURE_S + SNAPSHOTS_S,
     ),
     "radio_lossy": Wait(
         f"damaged packets are counted over {link_radio.MEAN_OF} RADIO_STATUS, one a second: single ones are normal",
-        0.5,
         link_radio.MEAN_OF - 1.0,
     ),
-    "router_killed": Wait(_REMOVAL, 0.1, _REMOVAL_S),
-    "sidecar_disconnected": Wait(_AGAIN, 0.1, ASK_AGAIN_S),
-    "sigterm_ignored": Wait(_PROCESS, 0.1, _PROCESS_S),
-    "subscriber_lost": Wait(_REMADE, 0.3, topics.SETTLE_S + SNAPSHOTS_S),
-    "topic_silent": Wait(_SILENCE, 0.1, RosSettings().silence + SNAPSHOTS_S),
-    "topic_slow": Wait(_RATE, 0.2, estimator.WINDOW_S + rates.CONFIRM_S),
-    "transport_blocked": Wait(_AWAKE, 0.1, _data_path.SILENT_S + SNAPSHOTS_S),
+    "router_killed": Wait(_REMOVAL, _REMOVAL_S),
+    "sidecar_disconnected": Wait(_AGAIN, ASK_AGAIN_S),
+    "sigterm_ignored": Wait(_PROCESS, _PROCESS_S),
+    "subscriber_lost": Wait(_REMADE, topics.SETTLE_S + SNAPSHOTS_S),
+    "topic_silent": Wait(_SILENCE, RosSettings().silence + SNAPSHOTS_S),
+    "topic_slow": Wait(_RATE, estimator.WINDOW_S + rates.CONFIRM_S),
+    "transport_blocked": Wait(_AWAKE, _data_path.SILENT_S + SNAPSHOTS_S),
 }
 """By fault."""
-EXPLANATIONS = {name: wait.explanation for name, wait in WAITS.items()}
+
+
+def _limit_s(fault: Fault) -> float:
+    """On average."""
+    return max((fault.evidence_s or 0.0) - fault.evidence_period_s / 2, FLOOR_S)
+
+
+_FAULTS = all_faults()
+EXPLANATIONS = {name: wait.explanation(_limit_s(_FAULTS[name])) for name, wait in WAITS.items()}
 """By fault. One that is later than this has none: no wait of PHM explains it, e.g. until Python has started again."""
 UNEXPLAINED = "unexplained"
 

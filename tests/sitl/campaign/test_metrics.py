@@ -12,7 +12,7 @@ from hypothesis import given, strategies as st
 from phm.core.settings import RosSettings
 from phm_checks import _graph_evidence, _node_activity
 from sitl.campaign import uptime
-from sitl.campaign.evidence import EXPLANATIONS, READ_S, SNAPSHOTS_S, UNEXPLAINED, WAITS, compared
+from sitl.campaign.evidence import EXPLANATIONS, READ_S, SNAPSHOTS_S, UNEXPLAINED, compared
 from sitl.campaign.fault_catalog import explained
 from sitl.campaign.fault_rows import unexplained
 from sitl.campaign.groups import groups
@@ -362,14 +362,6 @@ def test_interruptions_that_were_not_counted_are_no_zero() -> None:
         return row[1]
 
     assert [shown(None, None), shown(0, 0), shown(2, None, 1)] == ["not measured", "0, 0, 0.0", "2, 3, 1.5"]
-
-
-@pytest.mark.parametrize("fault", sorted(WAITS))
-def test_the_ratio_of_a_wait_follows_from_the_limit_of_the_fault(fault: str) -> None:
-    """And from the configuration: the measured time is nowhere in it."""
-    each = all_faults()[fault]
-    assert each.evidence_s is not None
-    assert WAITS[fault].limit_s == pytest.approx(max(each.evidence_s - each.evidence_period_s / 2, FLOOR_S))
 
 
 def test_a_topic_may_pause_for_as_long_as_the_shipped_configuration_allows() -> None:
