@@ -77,10 +77,13 @@ def _wrong_evidence(evidence: Evidence) -> str:
         return "never_ok"
     if not isinstance(evidence.listed, (int, type(None))) or isinstance(evidence.listed, bool):
         return "listed"
-    names = evidence.subjects
-    if names is not None and not (isinstance(names, tuple) and all(isinstance(name, str) for name in names)):
+    if evidence.subjects is not None and not _are_names(evidence.subjects):
         return "subjects"
-    return ""
+    return "" if _are_names(evidence.unobserved_of) else "unobserved_of"
+
+
+def _are_names(names: object) -> bool:
+    return isinstance(names, tuple) and all(isinstance(name, str) for name in names)
 
 
 def _is_number(number: object, *, age: bool) -> bool:

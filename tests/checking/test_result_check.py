@@ -13,7 +13,7 @@ from phm.core.model import Evidence, Level, Result
 
 BAD = Result(Level.ERROR, "it is broken", "broken", "custom_failed")
 EVERYTHING = Evidence(
-    "id@start", True, 1, True, True, False, 2, "/a", "hop", True, True, "reboot", True, True, True, ("one",)
+    "id@start", True, 1, True, True, False, 2, "/a", "hop", True, True, "reboot", True, True, True, ("one",), ("two",)
 )
 
 
@@ -34,7 +34,9 @@ def test_evidence_of_another_type_is_stale(name: str) -> None:
     assert result.level is Level.STALE and name in result.summary
 
 
-@pytest.mark.parametrize("wrong", [{"observed": math.nan}, {"listed": 1.5}, {"listed": True}, {"subjects": (1,)}])
+@pytest.mark.parametrize(
+    "wrong", [{"observed": math.nan}, {"listed": 1.5}, {"listed": True}, {"subjects": (1,)}, {"unobserved_of": (1,)}]
+)
 def test_evidence_with_impossible_contents_is_stale(wrong: dict[str, Any]) -> None:
     """Neither a comparison nor the state file expects it."""
     assert checked(replace(BAD, evidence=replace(Evidence(), **wrong))).level is Level.STALE

@@ -19,7 +19,7 @@ from phm.learn.observations import (
     ObservedTopic,
 )
 from phm.probes.file_tree import TreeListing
-from phm.probes.tree_comparison import compare
+from phm.probes.tree_comparison import Comparison
 
 TYPE = "std_msgs/msg/String"
 STEADY = (10.0, 10.02, 9.98) * 20
@@ -177,7 +177,7 @@ def test_the_name_of_a_file_is_never_a_pattern(where: str) -> None:
     folder = ObservedFolder("ros_app", "/ws", {"kept": "1"}, 1, **odd)
     (entry,) = learn(Observations(60.0, (container(),), (folder,))).containers[0].nested["files"]
     ignore = entry.values["ignore"]
-    assert compare({"kept": "1"}, TreeListing({"kept": "2"}), ignore).changed == ("kept",)
+    assert Comparison(ignore).of({"kept": "1"}, TreeListing({"kept": "2"})).changed == ("kept",)
     assert all(any(fnmatchcase(name, pattern) for pattern in ignore) for name in names)
 
 
