@@ -23,7 +23,7 @@ from sitl.campaign.scoring import judge
 from sitl.campaign.trial import BUSY, NOMINAL, OFF, TRIAL, Trial, append, load
 from sitl.faults import _inject_note, all_faults
 from sitl.faults.base import Agent, Fault
-from sitl.swarm import startup
+from sitl.swarm import engine, startup
 from sitl.swarm.options import Options
 
 GUESS_S = 70.0
@@ -43,6 +43,8 @@ def play(asked: argparse.Namespace, to_do: Schedule, file: Path, console: Consol
 
     try:
         swarm, ours = startup.running_or_started(_options(asked, to_do), progress)
+        if others := engine.others(swarm.docker, swarm.name):
+            progress(f"[yellow]other containers run, which take CPU time from this campaign:[/] {', '.join(others)}")
         busy = BusyLoad(swarm) if to_do.load == BUSY else None
         runner = Runner(swarm, all_faults(), to_do.profile, progress, busy, note if asked.note else None)
         if not ours:

@@ -78,6 +78,13 @@ def resources(client: DockerClient, name: str) -> list[Resource]:
     ]
 
 
+def others(client: DockerClient, name: str) -> list[str]:
+    """Names of the running containers that do not belong to the swarm. They take CPU time from what is measured: an engine starts
+    those with a restart policy again, also of tests that were ended before they removed them."""
+    running = client.containers.list(ignore_removed=True)
+    return sorted(str(one.name) for one in running if one.labels.get(LABEL) != name)
+
+
 def remove(client: DockerClient, name: str) -> int:
     """Remove what belongs to the swarm, and nothing else; how many things that were. RuntimeError names what would not go."""
     found, failed = resources(client, name), []

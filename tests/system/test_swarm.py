@@ -57,6 +57,12 @@ def left(client: DockerClient, name: str) -> list[str]:
     return [*named, *networks, *volumes, *map(str, engine.devices(name))]
 
 
+def test_running_containers_of_others_are_named(docker_client: DockerClient, name: str, stranger: Container) -> None:
+    """A swarm whose name is the beginning of another one's is not that one."""
+    assert stranger.name in engine.others(docker_client, name)
+    assert stranger.name not in engine.others(docker_client, f"{name}x")
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["interrupted", "killed"])
 def test_nothing_is_left_of_a_swarm_whose_start_was_interrupted(
     docker_client: DockerClient, name: str, stranger: Container, tmp_path: Path, number: signal.Signals
