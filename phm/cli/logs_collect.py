@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from phm.logs.log_sources import LogSearchResult
 
 ENGINE = "unix:///var/run/docker.sock"
+NAME_AGENTS = "or name the agents: --docker ssh://USER@HOST, or a folder"
 AT_ONCE = 8
 """Engines that are asked at the same time: one that does not answer takes its deadline."""
 SHOWN = 200
@@ -53,7 +54,7 @@ class _Engine(click.ParamType):  # type: ignore[type-arg]
         return url
 
 
-@click.command(epilog="Example: phm logs collect flight7 && phm report flight7 --html flight7.html")
+@click.command(epilog="Example: phm logs collect logs/ --docker ssh://pi@drone1")
 @click.argument("folder", metavar="DIR", type=click.Path(file_okay=False, path_type=Path))
 @click.argument("paths", metavar="[PATH]...", nargs=-1, type=click.Path(path_type=Path))
 @click.option(
@@ -116,7 +117,7 @@ def _run(
     """All outcomes, and what was looked for in vain: (what, why)."""
     from phm.facts import CannotTell
     from phm.logs import log_sources
-    from phm.transport.docker import DockerEngine
+    from phm.transport.docker import DockerEngine, EngineNotConnected
 
     missing: list[tuple[str, str]] = []
     opened: list[DockerEngine] = []
@@ -131,7 +132,9 @@ def _run(
         try:
             return copied(log_sources.of_engine(engine, place, patterns))
         except CannotTell as error:
-            missing.append((url, str(error)))
+            # As on a ground computer, whose agents are elsewhere.
+            elsewhere = isinstance(error, EngineNotConnected) and url == ENGINE
+            missing.append((url, f"{error}; {NAME_AGENTS}" if elsewhere else str(error)))
             return []
         finally:
             engine.close()

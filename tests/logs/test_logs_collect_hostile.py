@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from phm.cli import logs_collect
 from phm.logs import log_sources
 from phm.transport.docker import DockerEngine
 from tests.fakes.engine import FakeEngine, container
@@ -155,6 +156,16 @@ def test_an_engine_that_is_not_there_costs_only_its_agents(tmp_path: Path, engin
     result = collect(tmp_path / "out", "--docker", f"unix://{tmp_path}/none.sock", engine=engine)
     assert result.exit_code == 1 and f"missing: unix://{tmp_path}/none.sock: " in result.output
     assert texts(tmp_path / "out" / "agent_1") == [1, 2, 3]
+
+
+def test_a_ground_computer_without_an_engine_names_the_agents(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another engine than that of this computer is what the operator meant."""
+    advice = "; or name the agents: --docker ssh://USER@HOST, or a folder"
+    monkeypatch.delenv("DOCKER_HOST", raising=False)
+    monkeypatch.setattr(logs_collect, "ENGINE", f"unix://{tmp_path}/none.sock")
+    result = collect(tmp_path / "out")
+    assert result.exit_code == 1 and result.output.rstrip().endswith(advice), result.output
+    assert advice not in collect(tmp_path / "out", "--docker", f"unix://{tmp_path}/other.sock").output
 
 
 def test_containers_beyond_the_limit_are_named(
