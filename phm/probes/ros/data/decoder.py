@@ -126,7 +126,7 @@ def _content(value: Any, *, top: bool = False) -> Iterator[bytes]:
     """The values of all fields but stamps. Not the serialized message: between fields that are aligned it has bytes that nothing
     writes, which differ between equal messages."""
     if hasattr(value, "get_fields_and_field_types"):
-        for name in _names(type(value), top):
+        for name in _names(value.__class__, top):
             yield from _content(getattr(value, name))
     elif hasattr(value, "tobytes"):
         yield value.tobytes()
