@@ -179,6 +179,9 @@ def _node(name: str, seen: Observations) -> Learned:
             values["container"] = owners[0]
         else:
             notes["name"] = "its container is not known from the process lists: add `container`"
+    if name in seen.active_nodes:
+        values["ready"] = {"lifecycle": "active"}
+        notes["ready"] = "a lifecycle node that was active: remove this if it is not always activated"
     return Learned(values, notes)
 
 

@@ -128,7 +128,9 @@ class _Merger:
         for key, value in learned.values.items():
             if key in _IDENTITY and any(known in entry for known in _IDENTITY):
                 continue
-            if key not in entry or not self._same(key, entry[key], value):
+            if isinstance(value, Mapping) and isinstance(entry.get(key), dict):
+                self._update(entry[key], Learned(value))
+            elif key not in entry or not self._same(key, entry[key], value):
                 self._set(entry, key, value)
         for key, below in learned.nested.items():
             self._list(entry, key, below)
@@ -196,14 +198,18 @@ def _child(tree: CommentedMap, key: str) -> CommentedMap:
 
 
 def _node(value: Any) -> Any:
-    """Lists in one line, and text that YAML would take for something else in quotes."""
-    from ruamel.yaml.comments import CommentedSeq
+    """Lists and mappings in one line, and text that YAML would take for something else in quotes."""
+    from ruamel.yaml.comments import CommentedMap, CommentedSeq
     from ruamel.yaml.scalarstring import DoubleQuotedScalarString
 
     if isinstance(value, list):
         sequence: CommentedSeq = CommentedSeq([DoubleQuotedScalarString(_literal(one)) for one in value])
         sequence.fa.set_flow_style()
         return sequence
+    if isinstance(value, Mapping):
+        mapping: CommentedMap = CommentedMap({key: _node(one) for key, one in value.items()})
+        mapping.fa.set_flow_style()
+        return mapping
     return _literal(value) if isinstance(value, str) else value
 
 

@@ -81,6 +81,8 @@ class Observations:
     containers: tuple[ObservedContainer, ...] = ()
     folders: tuple[ObservedFolder, ...] = ()
     nodes: Mapping[str, bool] = field(default_factory=dict)
+    active_nodes: frozenset[str] = frozenset()
+    """Full names of the lifecycle nodes that were active all the time."""
     topics: tuple[ObservedTopic, ...] = ()
     late_topics: tuple[str, ...] = ()
     """Topics that appeared after the measurement had begun."""

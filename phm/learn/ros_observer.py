@@ -6,7 +6,7 @@ import threading
 from dataclasses import dataclass, field, replace
 
 from phm.core.clock import Clock
-from phm.core.settings import DiagnosticsSettings, NodeSettings, RosSettings, TopicSettings
+from phm.core.settings import DiagnosticsSettings, NodeReadySettings, NodeSettings, RosSettings, TopicSettings
 from phm.facts import CannotTell, EndpointFact, RosFact
 from phm.learn.observations import Observations, ObservedTopic
 from phm.probes.ros.supervisor import RosSupervisor
@@ -46,6 +46,8 @@ class RosObserver:
         self._problems: list[str] = []
         self._watched = False
         self._nodes: dict[str, bool] = {}
+        self._states: dict[str, set[str]] = {}
+        """The states that each lifecycle node had."""
         self._topics: dict[str, _Samples] = {}
         self._late: set[str] = set()
         self._others: set[str] = set()
@@ -78,6 +80,8 @@ class RosObserver:
         for name in self._nodes:
             self._nodes[name] = fact.nodes.get(name, 0) > 0
         self._nodes |= {name: False for name in fact.nodes if name not in self._nodes and not _hidden(name)}
+        for name, state in fact.lifecycle.items():
+            self._states.setdefault(name, set()).add(state.answer)
         self._late |= {name for name, users in fact.others.items() if users.publishers and not _own(name)}
         for name, samples in self._topics.items():
             self._take(samples, fact, name)
@@ -104,6 +108,7 @@ class RosObserver:
             seen,
             ros_watched=self._watched,
             nodes=dict(self._nodes),
+            active_nodes=frozenset(name for name, states in self._states.items() if states - {""} == {"active"}),
             topics=topics,
             late_topics=tuple(sorted(self._late)),
             other_topics=tuple(sorted(self._others)),
@@ -186,7 +191,8 @@ class RosObserver:
         ros = self._settings.model_copy(
             update={
                 "topics": [TopicSettings(name=name, rate=WINDOW_HZ, silence=60.0) for name in topics],
-                "nodes": [NodeSettings(name=name) for name in nodes],
+                # Only a lifecycle node has the service that is called for this.
+                "nodes": [NodeSettings(name=name, ready=NodeReadySettings(lifecycle="active")) for name in nodes],
                 "diagnostics": DiagnosticsSettings(publish=False, listen=[]),
             }
         )

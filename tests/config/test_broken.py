@@ -131,8 +131,8 @@ BROKEN = [
         "ros.topics[0].data.ranges.x", ("2",),
     ),
     Broken(
-        "range of no field", "ros:\n  topics:\n    - {name: /a, rate: 1, data: {ranges: {'x[0]': [0, 1]}}}\n", 3,
-        "ros.topics[0].data.ranges.x[0]", (),
+        "range of no field", "ros:\n  topics:\n    - {name: /a, rate: 1, data: {ranges: {'x[a]': [0, 1]}}}\n", 3,
+        "ros.topics[0].data.ranges.x[a]", (),
     ),
     Broken(
         "too many samples", "ros:\n  topics:\n    - {name: /a, rate: 1, data: {frozen: 1s, sample: 100Hz}}\n", 3,

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from hypothesis import strategies as st
 
 from phm.facts.ros import TopicFact
 from phm.probes.ros.data.data_monitor import DataMonitor
-from phm.probes.ros.data.decoder import Decoder
+from phm.probes.ros.data.decoder import Decoded, Decoder
 from phm.probes.ros.protocol import GraphMessage, WantedData, decode, encode
 from phm.probes.ros.reader import RawMessage
 from tests.fakes.ros_messages import stamped
@@ -36,8 +34,8 @@ class Numbers(Decoder):
     def usable(self) -> bool:
         return bool(self._counters)
 
-    def read(self, data: bytes) -> tuple[float | None, Mapping[str, str], bytes]:
-        return self._counters.pop(0), {}, data, ()
+    def read(self, data: bytes) -> Decoded:
+        return Decoded(self._counters.pop(0), {}, data)
 
 
 @fuzzed(

@@ -12,7 +12,7 @@ import pytest
 
 from phm import testing
 from phm.core.settings import Settings
-from phm.facts import NameFact, RateFact, RosFact, TopicFact
+from phm.facts import AnswerFact, NameFact, RateFact, RosFact, TopicFact
 from phm.facts.ros import EndpointFact
 from phm.learn import ros_observer
 from phm.learn.agent_observer import AgentObserver, ObservationFailed, ObservationRequest
@@ -203,6 +203,7 @@ class Supervisor:
 
     def __init__(self, ros: Any, *_: Any) -> None:
         self._topics = [topic.name for topic in ros.topics]
+        self._lifecycle = [node.name for node in ros.nodes if node.ready is not None and node.ready.lifecycle]
 
     def start(self) -> None: ...
 
@@ -215,7 +216,8 @@ class Supervisor:
             RateFact(10.0, 0.1, samples=50),
         )
         others = {name: fact for name, fact in self.graph.others.items() if name not in self._topics}
-        return replace(self.graph, topics=dict.fromkeys(self._topics, topic), others=others)
+        states = {name: self.graph.lifecycle.get(name, AnswerFact()) for name in self._lifecycle}
+        return replace(self.graph, topics=dict.fromkeys(self._topics, topic), others=others, lifecycle=states)
 
 
 def test_the_graph_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -242,6 +244,24 @@ def test_the_graph_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
         (10.0,) * 10,
         ["/a/planner"],
     )
+
+
+def test_a_node_that_is_active_all_the_time_is_a_lifecycle_node(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By its own answer; one that has no such service, or is in another state at times, is not."""
+    active, inactive = AnswerFact("active", served=True), AnswerFact("inactive", served=True)
+    nodes = {"/a/amcl": 1, "/a/camera": 1, "/a/planner": 1, "/a/route": 1}
+    Supervisor.graph = RosFact(
+        0.0, 60.0, nodes=nodes, lifecycle={"/a/amcl": active, "/a/planner": active, "/a/route": inactive}
+    )
+    monkeypatch.setattr(ros_observer, "RosSupervisor", Supervisor)
+    clock = PassingClock()
+    seen = RosObserver(testing.settings().ros, "agent_1", clock)
+    seen.discover(10.0)
+    for planner in (active, inactive, active):
+        Supervisor.graph = replace(Supervisor.graph, lifecycle={**Supervisor.graph.lifecycle, "/a/planner": planner})
+        clock.advance(1.0)
+        seen.tick()
+    assert seen.into(Observations(10.0)).active_nodes == {"/a/amcl"}
 
 
 def test_an_empty_graph_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -101,6 +101,14 @@ def test_a_node_that_left_is_not_learned() -> None:
     assert any("/a/left" in note for note in found.notes)
 
 
+def test_an_active_lifecycle_node_must_be_active() -> None:
+    """So that a node which is deactivated is one fault, at its cause. The note says when that is wrong."""
+    seen = Observations(60.0, nodes={"/a/amcl": True, "/a/camera": True}, active_nodes=frozenset({"/a/amcl"}))
+    amcl, camera = learn(seen).nodes
+    assert amcl.values == {"name": "/a/amcl", "ready": {"lifecycle": "active"}} and "remove" in amcl.notes["ready"]
+    assert camera.values == {"name": "/a/camera"}
+
+
 def test_the_container_of_a_node_is_known_by_its_process() -> None:
     """Not needed with one container; with several, a node that no process names is noted."""
     one = container("one", processes=(ProcessFact(1, command="python node.py --ros-args -r __node:=planner"),))

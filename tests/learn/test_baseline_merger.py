@@ -86,6 +86,22 @@ def test_a_mapping_in_braces_gets_separate_lines_for_a_comment() -> None:
     )
 
 
+READY = Learned({"name": "/a/lidar", "ready": {"lifecycle": "active"}}, {"ready": "was active"})
+
+
+def test_a_lifecycle_state_is_added_and_the_rest_of_its_key_stays() -> None:
+    """In one line where there was none; comments stay where they are."""
+    learned = Baseline(nodes=(READY,), seen=frozenset({"a/lidar", "a/scan"}))
+    new = merge(FILE, learned, {})
+    assert changes(FILE, new) == ["+    ready: {lifecycle: active} # learned: was active"]
+    assert merge(new, learned, {}) == new
+    assert loads(new, environ={}).ros.nodes[0].ready.lifecycle == "active"
+    given = FILE.replace("lidar\n", "lidar\n    ready:  # ours\n      within: 20s\n", 1)
+    nodes = loads(merge(given, learned, {}), environ={}).ros.nodes
+    assert (nodes[0].ready.within, nodes[0].ready.lifecycle) == (20.0, "active")
+    assert "# ours" in merge(given, learned, {})
+
+
 def test_names_with_variables_are_recognised() -> None:
     """The node is known, so it is neither added nor replaced."""
     assert merge(FILE, baseline(), {"PHM_AGENT": "a"}).count("lidar") == FILE.count("lidar")

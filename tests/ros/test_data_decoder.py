@@ -103,6 +103,20 @@ def test_each_element_of_an_array_counts(name: str, field: str, value: Any, text
     assert found.read(bytes(serialize_message(message)))[1] == ({field: text} if text else {})
 
 
+def test_the_range_of_an_element_is_examined() -> None:
+    """By its index, also of a field of a message in an array. One that a message lacks is said, and hides nothing else."""
+    from geometry_msgs.msg import Point32, PolygonStamped
+    from rclpy.serialization import serialize_message
+
+    message = PolygonStamped()
+    message.polygon.points = [Point32(x=1.0), Point32(x=2.0, y=7.0)]
+    names = ("polygon.points[0].x", "polygon.points[9].x", "polygon.points[1].x", "polygon.points[1].y")
+    wanted = WantedData(ranges=tuple(WantedRange(name, 2.0, None) for name in names), fields=("polygon.points[1].y",))
+    found = Decoder(wanted, "geometry_msgs/msg/PolygonStamped").read(bytes(serialize_message(message)))
+    assert found.outside == {"polygon.points[0].x": "1"} and found.fields[0].low == 7.0
+    assert found.problem == "points has 2 elements in the newest message, none with index 9"
+
+
 @pytest.mark.parametrize("counter", ["twist.linear.x", ""])
 def test_bytes_between_fields_are_not_content(counter: str) -> None:
     """Nothing writes those before an aligned number, so equal messages differ in them."""

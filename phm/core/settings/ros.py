@@ -30,6 +30,10 @@ class NodeSettings(Section):
 
 
 FieldName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)*$", max_length=255)]
+FieldPath = Annotated[
+    str, Field(pattern=r"^[a-z][a-z0-9_]*(\[\d{1,5}\])?(\.[a-z][a-z0-9_]*(\[\d{1,5}\])?)*$", max_length=255)
+]
+"""A field of a message, with the index of an element where it is in an array: `pose.position.z`, `cells[0].voltage`."""
 Bound = Annotated[float, Field(allow_inf_nan=False)] | None
 
 
@@ -47,9 +51,9 @@ class DataSettings(Section):
     gaps: Percent = 5.0
     """Share of the counter's numbers that may be missing; ERROR from twice as many."""
     ranges: Annotated[
-        dict[FieldName, Annotated[list[Bound], Field(min_length=2, max_length=2)]], Field(max_length=16)
+        dict[FieldPath, Annotated[list[Bound], Field(min_length=2, max_length=2)]], Field(max_length=16)
     ] = Field(default_factory=dict)
-    """Lowest and highest value of fields, by name; null: no limit. Of an array, each element counts."""
+    """Lowest and highest value of fields, e.g. `twist.linear.x` or `cells[0].voltage`; null: no limit. Of an array, each element counts."""
     sample: Annotated[Hertz, Field(gt=0, le=4)] = 2.0
     """At most this many messages per second of each publisher are examined."""
 

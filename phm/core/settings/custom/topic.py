@@ -8,11 +8,7 @@ from pydantic import Field, model_validator
 
 from phm.core.settings.base import Name, RosName, Seconds
 from phm.core.settings.custom.limits import LIMITS, LimitedCheckSettings
-
-FieldPath = Annotated[
-    str, Field(pattern=r"^[a-z][a-z0-9_]*(\[\d{1,5}\])?(\.[a-z][a-z0-9_]*(\[\d{1,5}\])?)*$", max_length=255)
-]
-"""A field of a message, with the index of an element where it is in an array: `pose.position.z`, `cells[0].voltage`."""
+from phm.core.settings.ros import FieldPath
 
 
 class TopicCheckSettings(LimitedCheckSettings):

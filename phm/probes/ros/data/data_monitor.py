@@ -119,8 +119,9 @@ class DataMonitor:
             found = replace(found, fields=self._decoder.unreadable)
         else:
             try:
-                counter, outside, data, fields = self._decoder.read(data)
+                counter, outside, data, fields, problem = self._decoder.read(data)
                 found = replace(found, counter=counter, outside=outside, fields=fields)
+                self._problem = self._problem or problem
             except Undecodable as error:
                 self._problem = str(error)
             if self._wanted.counter and message.sequence is None:

@@ -24,14 +24,19 @@ class Undecodable(ValueError):
     """A message, or all of this type, cannot be decoded; the text says why."""
 
 
+class NoElement(ValueError):
+    """An array of a message is shorter than an index."""
+
+
 class Decoded(NamedTuple):
     """What one message contains: the counter, the fields outside of their range, the content to compare, in which the counter is 0,
-    and the fields whose value is reported."""
+    and the fields whose value is reported. problem: a field with a range that it lacks, else empty."""
 
     counter: float | None
     outside: Mapping[str, str]
     content: bytes
     fields: tuple[FieldFact, ...] = ()
+    problem: str = ""
 
 
 class Decoder:
@@ -89,11 +94,7 @@ class Decoder:
             )
         try:
             message = self._deserialize(data, self._message)
-            outside = {
-                limits.field: text
-                for limits in self._wanted.ranges
-                if (text := _outside(_value(message, limits.field), limits.low, limits.high))
-            }
+            outside, problem = self._outside(message)
             fields = tuple(_field(message, name) for name in self._fields)
             counter = _value(message, self._wanted.counter) if self._wanted.counter else math.nan
             if self._wanted.frozen_s is not None:
@@ -105,14 +106,27 @@ class Decoder:
                 data = bytes(_BEFORE) + content if content else data
         except Exception as error:  # exceptions of rclpy and pybind: what was sent is not such a message
             raise Undecodable(f"a message cannot be decoded: {str(error)[:200]}") from error
-        return Decoded(counter if math.isfinite(counter) else None, outside, data, (*fields, *self.unreadable))
+        return Decoded(counter if math.isfinite(counter) else None, outside, data, (*fields, *self.unreadable), problem)
+
+    def _outside(self, message: Any) -> tuple[dict[str, str], str]:
+        """The fields outside of their range, and why one cannot be compared."""
+        found, problem = {}, ""
+        for limits in self._wanted.ranges:
+            try:
+                text = _outside(_value(message, limits.field), limits.low, limits.high)
+            except NoElement as error:
+                problem = str(error)
+                continue
+            if text:
+                found[limits.field] = text
+        return found, problem
 
 
 def _content(value: Any, *, top: bool = False) -> Iterator[bytes]:
     """The values of all fields but stamps. Not the serialized message: between fields that are aligned it has bytes that nothing
     writes, which differ between equal messages."""
     if hasattr(value, "get_fields_and_field_types"):
-        for name in _names(type(value), top):
+        for name in _names(value.__class__, top):
             yield from _content(getattr(value, name))
     elif hasattr(value, "tobytes"):
         yield value.tobytes()
@@ -144,13 +158,7 @@ def class_fields(type_name: str) -> Mapping[str, str] | None:
 
 
 def _value(message: Any, name: str) -> Any:
-    for part in name.split("."):
-        message = getattr(message, part)
-    return message
-
-
-def _field(message: Any, name: str) -> FieldFact:
-    """The value of `a.b` or `a[0].b`."""
+    """The value of `a.b` or `a[0].b`. Raises NoElement."""
     value = message
     for step in name.split("."):
         part, bracket, index = step.partition("[")
@@ -158,10 +166,16 @@ def _field(message: Any, name: str) -> FieldFact:
         if bracket:
             place = int(index.rstrip("]"))
             if place >= len(value):
-                return FieldFact(
-                    name, problem=f"{part} has {len(value)} elements in the newest message, none with index {place}"
-                )
+                raise NoElement(f"{part} has {len(value)} elements in the newest message, none with index {place}")
             value = value[place]
+    return value
+
+
+def _field(message: Any, name: str) -> FieldFact:
+    try:
+        value = _value(message, name)
+    except NoElement as error:
+        return FieldFact(name, problem=str(error))
     if isinstance(value, str):
         return FieldFact(name, text=value[:MAX_FIELD_TEXT])
     values: Sequence[Any] = value if hasattr(value, "__len__") else (value,)

@@ -21,7 +21,7 @@ TYPE, UNKNOWN = "my_msgs/msg/Odometry", "px4_msgs/msg/VehicleLocalPosition"
 
 
 class FakeDecoder(Decoder):
-    """A message's last byte is its counter; an odd one is out of range. `!` cannot be decoded."""
+    """A message's last byte is its counter; an odd one is out of range. `!` cannot be decoded, `?` lacks an element."""
 
     def __init__(self, wanted: WantedData, type_name: str) -> None:
         super().__init__(WantedData(), type_name)
@@ -38,7 +38,8 @@ class FakeDecoder(Decoder):
         if data.endswith(b"!"):
             raise Undecodable("a message cannot be decoded: no")
         outside = {"x": "1"} if self._wanted.ranges and data[-1] % 2 else {}
-        return Decoded(data[-1], outside, data[:-1] + b"\0", (FieldFact("x", data[-1], data[-1]),))
+        problem = "no such element" if data.endswith(b"?") else ""
+        return Decoded(data[-1], outside, data[:-1] + b"\0", (FieldFact("x", data[-1], data[-1]),), problem)
 
 
 class Bench:
@@ -230,6 +231,7 @@ def test_a_message_that_cannot_be_decoded_is_named() -> None:
     """Until the next one that can."""
     bench = Bench(ranges=(WantedRange("x", 0.0, 1.0),), hz=4.0)
     assert "cannot be decoded" in bench.poll(bench.message(b"....!")).problem
+    assert bench.poll(bench.message(b"....?")).problem == "no such element"
     assert bench.poll(bench.message(b"....\2")).problem == ""
 
 
