@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import NamedTuple
 
 from phm import api
 from phm.api import Layer, Level, Slot
@@ -25,9 +26,42 @@ BOTH_S = 2.0
 No wait is needed when both send beacons."""
 OVERLAP_S = 1.0
 """The longest overlap of a container with the one that it replaces, e.g. after an update."""
-_Text = tuple[Level, str, str, str]
 BUSY_S = 10.0
 """A node that uses the CPU and has not answered for this long is reported as busy. WARN only: it may be working normally."""
+
+
+class _Text(NamedTuple):
+    """`short`: end of the brief; empty: there is none."""
+
+    level: Level
+    summary: str
+    short: str = ""
+    condition: str = ""
+
+
+_NOT_WORKING = {
+    NodeState.UNANSWERING: _Text(
+        Level.ERROR,
+        "node {name} does not answer{where}; it may be hung or busy: {evidence}. It was expected "
+        "to answer: check its log and `docker top`; PHM restarts nothing for this",
+        "does not answer",
+        "node_unanswering",
+    ),
+    NodeState.BLOCKED: _Text(
+        Level.ERROR,
+        "Node {subject} is blocked{where}: {evidence}. It was expected to run its callbacks: check its log; PHM restarts nothing "
+        "for this before {hang_s:g} s",
+        "blocked",
+        "node_blocked",
+    ),
+    NodeState.HUNG: _Text(
+        Level.ERROR,
+        "Node {subject} is hung{where}: {evidence}. It was expected to answer: check its log, restart it",
+        "hung",
+        "node_hung",
+    ),
+}
+"""By state, with the node's names and the evidence to be inserted."""
 
 
 class _Node:
@@ -220,7 +254,7 @@ class Nodes(api.Check):
         if table is not None and disproved(evidence):
             table.forget(name)
         node.record_alive(table, evidence, now)
-        level, words, short, condition = self._words(node, judgement, fact, why, world)
+        text = self._words(node, judgement, fact, why, world)
         values: dict[str, api.Value] = {"listed": node.graph.count, "process": process}
         known = api.Evidence(
             certain=judgement.certain
@@ -229,36 +263,34 @@ class Nodes(api.Check):
             conclusive=judgement.witnessed or judgement.state is NodeState.DUPLICATE,
             listed=node.graph.count,
         )
-        if condition == "node_missing" and node.wanted.container in cut_off:
+        if text.condition == "node_missing" and node.wanted.container in cut_off:
             return _network_result(node, judgement, values, known, world)
-        target = node.wanted.container if level is Level.ERROR else ""
-        return api.Result(
-            level, words, brief(last(name), short) if short else "", condition, target, values, evidence=known
-        )
+        short = brief(last(name), text.short) if text.short else ""
+        target = node.wanted.container if text.level is Level.ERROR else ""
+        return api.Result(text.level, text.summary, short, text.condition, target, values, evidence=known)
 
     def _words(
         self, node: _Node, judgement: NodeVerdict, fact: api.RosFact | None, why: str, world: api.World
     ) -> _Text:
-        """Level, summary, end of the brief, and condition."""
         name, evidence = node.wanted.name, judgement.words
         subject, where = api.topic_id(name), f" in {node.wanted.container}" if node.wanted.container else ""
         state = judgement.state
         if state is NodeState.ALIVE and judgement.busy_s < BUSY_S:
             busy = f" and busy: {evidence}" if judgement.busy_s else ""
-            return Level.OK, f"Node {subject} is running{busy}", "", ""
+            return _Text(Level.OK, f"Node {subject} is running{busy}")
         if state is NodeState.ALIVE:
             words = (
                 f"node {name} is busy and has not answered for {span(judgement.busy_s)}: {evidence}; look for an infinite loop "
                 "or too much work in a callback"
             )
-            return Level.WARN, words, "busy", "node_busy"
+            return _Text(Level.WARN, words, "busy", "node_busy")
         if state is NodeState.DUPLICATE and node.copies:
             words = (
                 f"node {name} runs twice{where}: {node.copies} processes match it, and it is listed {node.graph.count} times, expected "
                 "once: two nodes with the same name conflict; stop the unintended one, or give "
                 "each its own namespace"
             )
-            return Level.ERROR, words, "runs twice", "node_duplicate"
+            return _Text(Level.ERROR, words, "runs twice", "node_duplicate")
         if state is NodeState.DUPLICATE:
             lasted = (
                 "and two processes send beacons under its name"
@@ -269,28 +301,17 @@ class Nodes(api.Check):
                 f"node {name} is listed {node.graph.count} times {lasted}, expected once: two nodes with the same name conflict; stop "
                 "one, or give each its own namespace"
             )
-            return Level.WARN, words, "runs twice", "node_duplicate"
+            return _Text(Level.WARN, words, "runs twice", "node_duplicate")
         if state is NodeState.UNKNOWN:
             table = self._tables.get(node.wanted.container)
             looked = f"PHM has observed the graph for only {span(fact.up_s)}" if fact is not None else why
             was = "; it was hung, and has given no sign of life since" if node.still_hung(table) else ""
             words = f"not yet known whether node {name} is alive: {evidence or looked}{was}"
-            return Level.STALE, words, "", ""
-        if state is NodeState.UNANSWERING:
-            words = (
-                f"node {name} does not answer{where}; it may be hung or busy: {evidence}. It was expected "
-                "to answer: check its log and `docker top`; PHM restarts nothing for this"
-            )
-            return Level.ERROR, words, "does not answer", "node_unanswering"
-        if state is NodeState.BLOCKED:
-            words = (
-                f"Node {subject} is blocked{where}: {evidence}. It was expected to run its callbacks: check its log; PHM restarts nothing "
-                f"for this before {HANG_S:g} s"
-            )
-            return Level.ERROR, words, "blocked", "node_blocked"
-        if state is NodeState.HUNG:
-            words = f"Node {subject} is hung{where}: {evidence}. It was expected to answer: check its log, restart it"
-            return Level.ERROR, words, "hung", "node_hung"
+            return _Text(Level.STALE, words)
+        if state in _NOT_WORKING:
+            text = _NOT_WORKING[state]
+            words = text.summary.format(name=name, subject=subject, where=where, evidence=evidence, hang_s=HANG_S)
+            return text._replace(summary=words)
         dead = state is NodeState.DEAD
         what, remedy = _missing(node, dead=dead)
         if not node.known and not self._any_listed(node.wanted.container):
@@ -299,7 +320,7 @@ class Nodes(api.Check):
             f"Not all required nodes are running. Missing node: {subject}; it {what}{where}: {evidence}. It was expected "
             f"to run: {remedy}.{did_you_mean(name, self._unconfigured(fact))}"
         )
-        return Level.ERROR, words, "dead" if dead else "never started", "node_missing"
+        return _Text(Level.ERROR, words, "dead" if dead else "never started", "node_missing")
 
     def _any_listed(self, container: str) -> bool:
         return any(node.graph.count for node in self._nodes if node.wanted.container == container)

@@ -167,36 +167,51 @@ class Topics(api.Check):
     def _missing(
         self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact, now: float
     ) -> api.Result | None:
-        """The first of: topic missing, publisher missing, subscriber missing."""
+        """The first of: endpoint closed, topic missing, publisher missing, subscriber missing."""
+        return (
+            self._closed_endpoint(topic, seen, fact, now)  # first: it keeps the history of the endpoints
+            or self._no_endpoint(topic, seen, fact)
+            or self._named_missing(topic, seen, fact)
+            or self._no_publisher(topic, seen, fact)
+        )
+
+    def _closed_endpoint(
+        self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact, now: float
+    ) -> api.Result | None:
         name = full(topic.name)
-        sides_of = named_sides(topic, seen)
-        lost = [found for kind, wanted, there in sides_of for found in self._lost(name, kind, wanted, there, fact, now)]
-        if not lost and not seen.publishers and not seen.subscribers:
-            return self._bad(
-                topic,
-                seen,
-                Level.ERROR,
-                "topic_missing",
-                "missing",
-                f"topic {name} does not exist, expected a publisher: check that its node is running and how it is remapped."
-                f"{_hint(topic, fact, (*topic.publishers, *topic.subscribers), absent=True)}",
-            )
-        if lost:
-            _, kind, node = lost[0]
-            settles = [self._ends.settle_s(key, fact, now) for key in lost]
-            known = [settle_s for settle_s in settles if settle_s is not None]
-            result = self._bad(
-                topic,
-                seen,
-                Level.ERROR,
-                f"{kind}_lost",
-                f"lost {kind} {last(node)}"[:30],
-                f"topic {name} has lost its {kind} {node}, which existed before and whose node is still running: it closed its "
-                f"{'publisher' if kind == 'publisher' else 'subscription'}; check its log, restart it",
-                self._homes.get(node, ""),
-            )
-            return replace(result, settle_s=max(known) if len(known) == len(settles) else None)
-        for kind, wanted, there in sides_of:
+        lost = [key for side in named_sides(topic, seen) for key in self._lost(name, *side, fact, now)]
+        if not lost:
+            return None
+        _, kind, node = lost[0]
+        settles = [self._ends.settle_s(key, fact, now) for key in lost]
+        known = [settle_s for settle_s in settles if settle_s is not None]
+        result = self._bad(
+            topic,
+            seen,
+            Level.ERROR,
+            f"{kind}_lost",
+            f"lost {kind} {last(node)}"[:30],
+            f"topic {name} has lost its {kind} {node}, which existed before and whose node is still running: it closed its "
+            f"{'publisher' if kind == 'publisher' else 'subscription'}; check its log, restart it",
+            self._homes.get(node, ""),
+        )
+        return replace(result, settle_s=max(known) if len(known) == len(settles) else None)
+
+    def _no_endpoint(self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact) -> api.Result | None:
+        if seen.publishers or seen.subscribers:
+            return None
+        return self._bad(
+            topic,
+            seen,
+            Level.ERROR,
+            "topic_missing",
+            "missing",
+            f"topic {full(topic.name)} does not exist, expected a publisher: check that its node is running and how it is remapped."
+            f"{_hint(topic, fact, (*topic.publishers, *topic.subscribers), absent=True)}",
+        )
+
+    def _named_missing(self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact) -> api.Result | None:
+        for kind, wanted, there in named_sides(topic, seen):
             names = {end.node for end in there}
             lacking = [full(node) for node in wanted if full(node) not in names]
             if lacking:
@@ -208,19 +223,23 @@ class Topics(api.Check):
                     Level.ERROR,
                     f"{kind}_missing",
                     f"lost {kind} {last(lacking[0])}"[:30],
-                    f"topic {name} lacks its {kind} {listed(lacking)}{others}: check that node's topic names and remappings.{hint}",
+                    f"topic {full(topic.name)} lacks its {kind} {listed(lacking)}{others}: check that node's topic names and remappings."
+                    f"{hint}",
                 )
-        if not seen.publishers:
-            return self._bad(
-                topic,
-                seen,
-                Level.ERROR,
-                "publisher_missing",
-                "has no publisher",
-                f"topic {name} has no publisher, expected one: check that its node is running and how it is remapped."
-                f"{_hint(topic, fact, ())}",
-            )
         return None
+
+    def _no_publisher(self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact) -> api.Result | None:
+        if seen.publishers:
+            return None
+        return self._bad(
+            topic,
+            seen,
+            Level.ERROR,
+            "publisher_missing",
+            "has no publisher",
+            f"topic {full(topic.name)} has no publisher, expected one: check that its node is running and how it is remapped."
+            f"{_hint(topic, fact, ())}",
+        )
 
     def _lost(
         self,

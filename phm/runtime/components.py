@@ -112,23 +112,23 @@ class Components:
         self.control: ControlServer = previous.control if previous is not None else ControlServer(settings.run_dir)
         self.reporters = ReporterManager(self.bus)
         own = (
-            self.memory.problem,
+            self.persistence.problem,
             self.control.problem,
             *((self.probes.mavlink.problem,) if self.probes.mavlink else ()),
         )
         guard = (lambda: watchdog.problem,) if watchdog is not None else ()
         self.health: DaemonHealth = DaemonHealth(
-            previous.health.since if previous is not None else started,
-            clock,
-            self.loop,
-            self.scheduler,
-            self.pipeline,
-            self.bus,
-            self.probes,
-            self.reporters,
-            self.armed,
-            critical_containers(settings.containers),
-            (*own, *guard, *process.problems),
+            since=previous.health.since if previous is not None else started,
+            clock=clock,
+            loop=self.loop,
+            scheduler=self.scheduler,
+            pipeline=self.pipeline,
+            bus=self.bus,
+            probes=self.probes,
+            reporters=self.reporters,
+            armed=self.armed,
+            critical=critical_containers(settings.containers),
+            problems=(*own, *guard, *process.problems),
         )
         self.reporter_context = self._reporter_context(settings)
         self._build_commands(settings, process.reload)
@@ -139,10 +139,16 @@ class Components:
         pipeline, clock, docker = self.pipeline, self.clock, self.probes.world.docker
         self.armed = ArmedMonitor(self.probes.world.links.autopilot, settings.mavlink.autopilot_timeout, clock)
         held = HoldRegistry()
-        world = HoldInputs(
-            self.armed.now, docker.container, self._acting_on, self.probes.event_stream, self.probes.engine.inspect
+        inputs = HoldInputs(
+            armed=self.armed.now,
+            container=docker.container,
+            own=self._acting_on,
+            stream=self.probes.event_stream,
+            inspect=self.probes.engine.inspect,
         )
-        self.holds = HoldService(settings.recovery, settings.containers, held, pipeline, self.bus.publish, clock, world)
+        self.holds = HoldService(
+            settings.recovery, settings.containers, held, pipeline, self.bus.publish, clock, inputs
+        )
         cgroup_root = Path(settings.pressure.cgroups)
         self.relief = CpuWeights(
             self.probes.engine,
@@ -152,17 +158,17 @@ class Components:
             lambda fact: cgroups.cpu_weight(cgroup_root, fact),
         )
         self.may_relieve = bool(settings.recovery.relieve)
-        self.memory = PersistenceService(
+        self.persistence = PersistenceService(
             settings.state_dir, settings.recovery.window, pipeline, self.bus, clock, self.armed
         )
         self.action_context = ActionContext(
-            self.probes.engine,
-            action_settings(settings),
-            docker.container,
-            docker.own_container,
-            self.probes.remembered,
-            self.probes.docker.own_remembered,
-            docker.reachable,
+            engine=self.probes.engine,
+            settings=action_settings(settings),
+            container=docker.container,
+            own_container=docker.own_container,
+            last_attachment=self.probes.remembered,
+            own_attachment=self.probes.docker.own_remembered,
+            reachable=docker.reachable,
             listed_nodes=lambda: self.probes.world.ros.snapshot().nodes,
             link=self.probes.link,
             autopilot=self.probes.world.links.autopilot,
@@ -179,12 +185,12 @@ class Components:
             pipeline,
             self.bus.publish,
             clock,
-            registry.usable(registry.find(registry.ACTIONS, Action)),
-            self.action_context,
-            self.armed.now,
-            lambda unit: graces.get(unit, 0.0),
-            self.plan.below,
-            held,
+            actions=registry.usable(registry.find(registry.ACTIONS, Action)),
+            context=self.action_context,
+            armed=self.armed.now,
+            grace_s=lambda unit: graces.get(unit, 0.0),
+            below=self.plan.below,
+            holds=held,
         )
 
     def join_networks(self) -> None:

@@ -56,10 +56,10 @@ class Daemon:
         parts, previous, self._previous = self.components, self._previous, None
         if previous is None:
             parts.health.crashed_before = self.marker.begin()
-        parts.memory.restore(previous._hand_over() if previous is not None else None)
+        parts.persistence.restore(previous._hand_over() if previous is not None else None)
         if previous is not None:
             self._resume_probes(previous)
-        restored, requests = parts.pipeline.open_faults(), parts.memory.requests()
+        restored, requests = parts.pipeline.open_faults(), parts.persistence.requests()
         parts.reporters.start(dataclasses.replace(parts.reporter_context, restored=restored, requests=requests))
         self._start_recovery()
         parts.control.execute = parts.handler.execute
@@ -90,7 +90,7 @@ class Daemon:
 
     def _start_recovery(self) -> None:
         parts, executor, relief = self.components, self.components.executor, self.components.relief
-        parts.memory.resume(executor)
+        parts.persistence.resume(executor)
         parts.bus.subscribe("recovery", executor.handle, kinds=Executor.kinds, key=Executor.key)
         if parts.may_relieve or relief.kept():
             parts.bus.subscribe("relief", relief.handle, kinds=relief.kinds, tick=relief.tick, period_s=relief.period_s)
@@ -171,7 +171,7 @@ class Daemon:
         closing.step("events", partial(parts.bus.close, 1.0), 1.5)
         for name, close in parts.reporters.closers():
             closing.step(name, close, 1.0)
-        closing.step("state", parts.memory.close, 1.0)
+        closing.step("state", parts.persistence.close, 1.0)
         for name, close in parts.probes.closers():
             closing.step(name, close, PROBE_S)
         return tuple(closing.hung)
@@ -202,7 +202,7 @@ class Daemon:
             closing.step(name, close, PROBE_S)
         parts.loop.stop()
         closing.step("loop", partial(parts.loop.join, 1.0), 1.0)
-        state = parts.memory.state()  # the loop opens faults, at the end of their grace
+        state = parts.persistence.state()  # the loop opens faults, at the end of their grace
         closing.step("events", partial(parts.bus.close, 1.0), 1.5)
         for name, close in parts.reporters.closers(last=False):
             closing.step(name, close, 1.0)

@@ -193,24 +193,8 @@ def build_probes(
         fresh.invalidate()  # before a check is woken to read it again
         docker_event(event)
 
-    watch = (
-        ContainerWatcher(
-            engine,
-            settings.containers,
-            settings.docker,
-            clock,
-            happened,
-            lambda: wake("engine"),
-            lambda: wake("other_container"),
-        )
-        if settings.containers or settings.docker.unknown_containers.level != "off"
-        else None
-    )
-    reachability = (
-        ReachabilityMonitor(clock, fresh.answering, fresh.ping, lambda: wake("network"))
-        if _addressed(settings)
-        else None
-    )
+    watch = _container_watcher(settings, clock, engine, happened, wake)
+    reachability = _reachability(settings, clock, fresh, wake)
     file_watcher = FileWatcher(clock)
     hub = hub or MavlinkHub(
         settings.mavlink,
@@ -227,18 +211,11 @@ def build_probes(
         settings.mavlink,
         settings.swarm,
         clock,
-        links.gcs_age_s,
-        lambda: wake("swarm"),
-        links.gcs_unreachable,
+        gcs_age_s=links.gcs_age_s,
+        on_wake=lambda: wake("swarm"),
+        gcs_unreachable=links.gcs_unreachable,
     )
-    ready = [entry.ready for entry in settings.containers if entry.ready is not None]
-    ros = (
-        RosSupervisor(
-            settings.ros, settings.agent.name, clock, lambda: wake("ros"), note, ready=ready, custom=settings.custom
-        )
-        if settings.ros.used or ready or uses_ros(settings.custom)
-        else None
-    )
+    ros = _ros_supervisor(settings, clock, wake, note)
     probe: RosProbe = ros if ros is not None else RosNotConfigured()
     devices = Devices(settings.host, clock, file_watcher, lambda: wake("device"), lambda: wake("other_device"))
     serial = SerialPorts(clock, devices.place)
@@ -267,28 +244,64 @@ def build_probes(
         programs=programs,
         logs=logs,
     )
-    used = hub if settings.mavlink.endpoints else None
     return ProbeSet(
-        engine,
-        docker,
-        watch,
-        reachability,
-        file_watcher,
-        used,
-        ros,
-        sockets,
-        serial,
-        matcher,
-        programs,
-        logs,
-        devices,
-        host,
-        links,
-        swarm,
-        world,
+        engine=engine,
+        docker=docker,
+        watch=watch,
+        reachability=reachability,
+        file_watcher=file_watcher,
+        mavlink=hub if settings.mavlink.endpoints else None,
+        ros=ros,
+        sockets=sockets,
+        serial=serial,
+        matcher=matcher,
+        programs=programs,
+        logs=logs,
+        devices=devices,
+        host=host,
+        received=links,
+        agents=swarm,
+        world=world,
     )
 
 
-def _addressed(settings: Settings) -> bool:
-    """Whether the address of a container is to be checked."""
-    return any(entry.networks and entry.address for entry in settings.containers)
+def _container_watcher(
+    settings: Settings,
+    clock: Clock,
+    engine: DockerEngine,
+    happened: Callable[[DockerEvent], None],
+    wake: Callable[[str], None],
+) -> ContainerWatcher | None:
+    """None: no container is configured, and unknown ones are not reported."""
+    if not settings.containers and settings.docker.unknown_containers.level == "off":
+        return None
+    return ContainerWatcher(
+        engine,
+        settings.containers,
+        settings.docker,
+        clock,
+        on_event=happened,
+        on_turn=lambda: wake("engine"),
+        on_other=lambda: wake("other_container"),
+    )
+
+
+def _reachability(
+    settings: Settings, clock: Clock, docker: Docker, wake: Callable[[str], None]
+) -> ReachabilityMonitor | None:
+    """None: no address of a container is to be checked."""
+    if not any(entry.networks and entry.address for entry in settings.containers):
+        return None
+    return ReachabilityMonitor(clock, docker.answering, docker.ping, lambda: wake("network"))
+
+
+def _ros_supervisor(
+    settings: Settings, clock: Clock, wake: Callable[[str], None], note: Callable[[str], None]
+) -> RosSupervisor | None:
+    """None: nothing of ROS is configured."""
+    ready = [entry.ready for entry in settings.containers if entry.ready is not None]
+    if not (settings.ros.used or ready or uses_ros(settings.custom)):
+        return None
+    return RosSupervisor(
+        settings.ros, settings.agent.name, clock, lambda: wake("ros"), note, ready=ready, custom=settings.custom
+    )

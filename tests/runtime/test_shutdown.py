@@ -189,7 +189,7 @@ def test_an_intended_shutdown_is_marked_before_anything_can_hang(tmp_path: Path,
         marked.append((tmp_path / "state" / MARKER).exists())
         released.wait()
 
-    daemon.components.memory.close = hang  # type: ignore[method-assign]
+    daemon.components.persistence.close = hang  # type: ignore[method-assign]
     assert daemon.stop() == ("state",)
     until(lambda: marked, "the step to begin")
     assert marked == [False]
