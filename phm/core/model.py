@@ -397,7 +397,7 @@ class Report:
 
 @dataclass(frozen=True, slots=True)
 class HoldChanged:
-    """A hold began, or ended (`began` is false).
+    """A hold began, or ended (`began` is false). If another one still applies at the end, the event is of that one.
 
     target: key of the container; empty: all containers. by, reason: who set the hold, and why. left_s: how long it will last,
     or, when it ended, how long it would still have lasted. text: a sentence for the log.

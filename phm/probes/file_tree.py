@@ -280,9 +280,10 @@ class _Walk:
             part.total.update(piece)
             part.size += len(piece)
             self._bytes += len(piece)
-            if self._clock.mono() > until_s and part.size < before.st_size:
+            # At exactly its size the next read ends it, unless it grows.
+            if self._clock.mono() > until_s and part.size != before.st_size:
                 self.listing.pending.add(path)
-                if lasts:
+                if lasts and part.size < before.st_size:
                     self.parts[path] = part
                 return
         if stamp(os.fstat(number)) != key:

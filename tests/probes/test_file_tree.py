@@ -292,6 +292,28 @@ def test_a_large_file_that_changes_all_the_time_does_not_starve_the_others(
     assert {"b", "c", "d", "e", "f", "g"} <= set(listing.sums)
 
 
+@pytest.mark.parametrize("settled", [True, False])
+def test_a_file_that_grows_while_it_is_read_is_left_in_time(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch, settled: bool
+) -> None:
+    """However much of it there is: nothing may keep the reader for long."""
+    monkeypatch.setattr(file_stamp, "COARSEST_S", 0.0 if settled else 1e12)
+    folder.write("a")
+    reads, real = [0], os.read
+
+    def read(number: int, size: int) -> bytes:
+        piece = real(number, size)
+        reads[0] += 1
+        assert reads[0] < 100
+        folder.clock.advance(file_tree.FILE_S / 4)
+        folder.write("a", "text" * (reads[0] + 1))
+        return piece
+
+    monkeypatch.setattr(os, "read", read)
+    listing = folder.read()
+    assert (listing.pending, listing.unreadable, listing.part, reads[0]) == ({"a"}, set(), 0, 5)
+
+
 def test_hostile_file_names_are_read_and_not_interpreted(folder: Folder) -> None:
     """Any byte may be in a name; nothing is interpreted."""
     for name in (b"\xff\xfe", b"line\nbreak", b"* ? [", b"-rf"):

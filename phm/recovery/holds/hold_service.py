@@ -248,8 +248,7 @@ class HoldService:
         now = self._clock.stamp()
         self._holds.put(hold)
         self._apply(self._of(hold))
-        text = f"{_name(hold)} is {hold.words(now)}"
-        self._publish(HoldChanged(now, hold.target, True, hold.by, hold.reason, hold.until - now.mono, text))
+        self._publish(_on_hold(hold.target, hold, now, f"{_name(hold)} is {hold.words(now)}"))
         self._wake.set()
 
     def _end(self, ending: Iterable[Hold], why: str, *, for_good: bool = True) -> None:
@@ -265,9 +264,21 @@ class HoldService:
                     # Results from during the hold do not count, also if the container is being stopped now.
                     self._pipeline.end_hold(key)
             self._apply(self._of(hold))
-            text = f"{_name(hold)}: the hold by {hold.by} is over: {why}"
-            left_s = max(0.0, hold.until - now.mono)
-            self._publish(HoldChanged(now, hold.target, False, hold.by, hold.reason, left_s, text))
+            self._publish_end(hold, f"{_name(hold)}: the hold by {hold.by} is over: {why}", now)
+
+    def _publish_end(self, ended: Hold, text: str, now: Stamp) -> None:
+        """Another hold may still apply to its target, or to a container of ALL: the newest line about that says so."""
+        left = self._holds.on(ended.target, now.mono)
+        if left is not None:
+            text = f"{text}; {_name(ended)} is still {left.words(now)}"
+            self._publish(_on_hold(ended.target, left, now, text))
+            return
+        left_s = max(0.0, ended.until - now.mono)
+        self._publish(HoldChanged(now, ended.target, False, ended.by, ended.reason, left_s, text))
+        for target in sorted({hold.target for hold in self._holds.all() if ended.covers(hold.target)}):
+            left = self._holds.on(target, now.mono)
+            if left is not None:
+                self._publish(_on_hold(target, left, now, f"{target} is still {left.words(now)}"))
 
     def _apply(self, keys: Iterable[str]) -> None:
         """Apply the state of these containers to the tracker."""
@@ -369,13 +380,16 @@ class HoldService:
         """Begin and end the holds of maintenance windows. Returns whether there may be any windows."""
         if now.mono - self._windows_at >= WINDOWS_S and not self._was_armed:
             self._windows_at = now.mono
+            begun = set()
             for hold in self._windows.due(now, self._labels):
                 if not (self._world.armed().restricts and self._flight.critical(self._of(hold))):
                     self._begin(hold)
+                    begun.add(hold.target)
             # Last, so that recovery does not act before a window that was only changed is open again.
             removed = self._windows.removed()
-            if removed:
-                self._end(removed, "the configuration no longer has it", for_good=False)
+            for what, changed in (("no longer has it", False), ("has changed it", True)):
+                ending = [hold for hold in removed if (hold.target in begun) is changed]
+                self._end(ending, f"the configuration {what}", for_good=False)
         return bool(self._rules.maintenance or self._keys)
 
     def _of(self, hold: Hold) -> tuple[str, ...]:
@@ -401,6 +415,10 @@ class HoldService:
             "until": iso(now.utc + left_s),
             "left_s": round(left_s, 1),
         }
+
+
+def _on_hold(target: str, hold: Hold, now: Stamp, text: str) -> HoldChanged:
+    return HoldChanged(now, target, True, hold.by, hold.reason, hold.until - now.mono, text)
 
 
 def _name(hold: Hold) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Any
 
@@ -70,9 +71,30 @@ def test_overlapping_windows_are_both_in_force(scenes: Any, labelled: bool) -> N
     scene.agent.rest(45)
     assert scene.changes() == [("cam", True)] * 2
     scene.agent.rest(45)
-    assert scene.changes()[2:] == [("cam", False)] and len(scene.service.snapshot()) == 1
+    assert scene.changes()[2:] == [("cam", True)] and len(scene.service.snapshot()) == 1
+    assert re.search(r"is over: it has expired; cam is still on hold until 02:0\d:\d\d UTC by maint", scene.last())
     scene.agent.rest(45)
     assert scene.changes()[3:] == [("cam", False)] and scene.service.snapshot() == []
+
+
+def test_the_end_of_a_hold_on_all_names_what_is_still_on_hold(scenes: Any) -> None:
+    """Only `all released` would be wrong for that container."""
+    scene = scenes(maintenance=[{"when": "02:00-02:02"}, {"when": "02:00-02:04", "container": "cam"}])
+    scene.clock.jump_utc(1795312860.0 - scene.clock.utc())  # 2026-11-22 02:01 UTC
+    scene.agent.rest(70)
+    assert scene.changes() == [("", True), ("cam", True), ("", False), ("cam", True)]
+    scene.agent.rest(120)
+    assert scene.changes()[4:] == [("cam", False)] and scene.service.snapshot() == []
+
+
+def test_a_release_names_the_hold_that_still_applies(scene: Scene) -> None:
+    """A container is not free while all are on hold."""
+    scene.hold(ALL, 600.0)
+    scene.hold("cam")
+    scene.service.release("cam", BY)
+    scene.agent.rest(1)
+    assert scene.changes() == [("", True), ("cam", True), ("cam", True)]
+    assert "is over: released by operator (uid 0); cam is still on hold until" in scene.last()
 
 
 def test_a_release_ends_all_windows_that_are_open(scenes: Any) -> None:
