@@ -68,10 +68,13 @@ def stamps(fields: Mapping[str, str], *, top: bool) -> frozenset[str]:
 
 
 def has_other_stamps(type_name: str, of: FieldsOf = fields_of) -> bool | None:
-    """Whether the type has stamps elsewhere than in a std_msgs/Header that it begins with; None: unknown."""
+    """Whether the type has stamps elsewhere than in a std_msgs/Header that it begins with; None: unknown. A header itself is nothing
+    but a stamp, with a name that never changes."""
     fields = of(type_name)
     if fields is None:
         return None
+    if type_name.replace("/msg/", "/") == HEADER:
+        return False
     found, seen, inside = bool(stamps(fields, top=True)), set(), list(fields.values())
     if inside[:1] == [HEADER]:
         del inside[0]

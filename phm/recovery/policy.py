@@ -11,7 +11,7 @@ The first rule that matches decides:
 6. The same failure `same_failure` times, or as many failures of an action on the entire container: give up.
 7. `patience_s` is not over: wait.
 8. Forbidden while armed, stopped by an operator, a condition that is only advised, or mode advise: advise. Of a container that is down
-   or paused, the step that brings it back and disturbs no other follows instead, if only the next one is forbidden while armed.
+   or paused, the step that only brings it back follows instead, also with an approval, if the next one is forbidden while armed.
 9. Budget used up, or back-off not over: wait.
 10. Else the step of the ladder that follows the number of failed attempts.
 
@@ -184,7 +184,7 @@ def decide(
                 subject=STARVED,
             )
     most = 1 if _once(condition, settings) else settings.same_failure
-    if not given_up and len(same) >= most:
+    if not given_up and len(same) >= most and not _only_unpaused(same, action):
         goes_on = f"; PHM still tries one start every {settings.backoff_max:g} s" if condition in DOWN else ""
         return GiveUp(action, f"{_in_vain(len(same))}{goes_on}")
     elsewhere = failures.of_the_action(action) if action in container_wide and condition not in DOWN else []
@@ -193,9 +193,9 @@ def decide(
     wait_s = patience_s(fault, settings)
     if wait_s and now < fault.opened.mono + wait_s:
         return Wait(fault.opened.mono + wait_s, "it may come back by itself")
+    action, forbidden = (action, "") if action in unrestricted else _in_flight(action, ladder, condition, forbids)
     bound = action not in unrestricted and not approved
-    action, forbidden = _in_flight(action, ladder, condition, forbids) if bound else (action, "")
-    if forbidden:
+    if forbidden and bound:
         return Advise(action, forbidden, again_at=now + ARMED_AGAIN_S)
     advised = _only_advised(condition, settings, stopped_by_hand=stopped_by_hand) if bound else ""
     if advised:
@@ -204,8 +204,13 @@ def decide(
     return _when(act, failures, elsewhere, settings, given_up=given_up, unrestricted=unrestricted)
 
 
+def _only_unpaused(same: Sequence[AttemptRecord], action: str) -> bool:
+    """Whether `action` was not tried yet, because only an unpause was possible in flight: after landing it must be."""
+    return bool(same) and all(attempt.action == UNPAUSE != action for attempt in same)
+
+
 def _in_flight(action: str, ladder: tuple[str, ...], condition: str, forbids: Callable[[str], str]) -> tuple[str, str]:
-    """The step to take while the vehicle may be armed, and why it is forbidden; empty: it is not."""
+    """The step to take while the vehicle may be armed, with an approval, too, and why it is forbidden; empty: it is not."""
     forbidden = forbids(action)
     gentlest = START if condition in DOWN else UNPAUSE if condition == PAUSED else ""
     if forbidden and gentlest in ladder and not forbids(gentlest):

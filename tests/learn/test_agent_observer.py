@@ -256,7 +256,7 @@ def test_a_node_that_is_active_all_the_time_is_a_lifecycle_node(monkeypatch: pyt
     monkeypatch.setattr(ros_observer, "RosSupervisor", Supervisor)
     clock = PassingClock()
     seen = RosObserver(testing.settings().ros, "agent_1", clock)
-    seen.discover(10.0)
+    seen.discover()
     for planner in (active, inactive, active):
         Supervisor.graph = replace(Supervisor.graph, lifecycle={**Supervisor.graph.lifecycle, "/a/planner": planner})
         clock.advance(1.0)

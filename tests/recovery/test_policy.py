@@ -420,21 +420,6 @@ def test_an_action_not_permitted_in_flight_is_only_advised() -> None:
     assert decision.why == "flight-critical, and the autopilot is armed"
 
 
-@pytest.mark.parametrize(("condition", "first"), [("exited", "start"), ("oom", "start"), ("paused", "unpause")])
-def test_what_disturbs_no_other_container_is_repeated_in_flight(condition: str, first: str) -> None:
-    """A restart might take down a flight-critical container that uses its network. The first step cannot."""
-    history = History([AttemptRecord(1000.0, "health/app", condition, first, False)])
-
-    def say_while(forbidden: frozenset[str], now: float = 1001.0) -> object:
-        given = {"target": APP, "settings": RULES, "container_wide": SHARED}
-        return decide(fault(condition), history, now, forbids=lambda action: "armed" * (action in forbidden), **given)  # type: ignore[arg-type]
-
-    assert say_while(frozenset()) == Act("restart", 2)
-    assert say_while(SHARED) == Act(first, 2)
-    assert say_while(SHARED, 1000.9) == Wait(1001.0, "backing off")
-    assert say_while(SHARED | {first}) == Advise("restart", "armed", again_at=1003.0)
-
-
 @pytest.mark.parametrize("mode", ["act", "advise", "off"])
 def test_phms_own_steps_need_neither_opt_in_nor_mode(mode: str) -> None:
     """Joining a network affects only PHM, and without it PHM sees nothing."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from phm.core.message_fields import fields_of, has_header
+from phm.core.message_fields import fields_of, has_header, has_other_stamps
 from phm.facts import FieldFact
 from phm.probes.ros.data.data_monitor import DataMonitor
 from phm.probes.ros.data.decoder import MAX_DECODED, Decoder, Undecodable, _content, class_fields
@@ -54,6 +54,11 @@ def test_the_stamp_is_that_of_a_real_message() -> None:
 def test_the_text_of_a_module_has_the_fields_of_its_class(name: str) -> None:
     """`phm validate` and the child agree."""
     assert fields_of(name) == class_fields(name)
+
+
+def test_a_header_alone_is_compared_with_its_stamp() -> None:
+    """Without it, only the name of its frame is left, which never changes: a healthy topic would be frozen."""
+    assert has_other_stamps("std_msgs/msg/Header", class_fields) is False
 
 
 def test_types_with_and_without_a_header_are_known() -> None:
