@@ -188,7 +188,7 @@ def test_the_real_child_is_replaced(bench: Bench, number: signal.Signals) -> Non
 @pytest.mark.one_distribution
 def test_a_leaking_child_is_replaced(bench: Bench) -> None:
     """Above the memory limit it is killed, and the note has both figures."""
-    limits = SupervisorLimits(weigh_s=0.1, backoff_s=0.1)
+    limits = SupervisorLimits(memory_period_s=0.1, backoff_s=0.1)
     probe = bench.probe(
         nodes=[{"name": "/a"}], max_memory="120MB", limits=limits, environ={"PHM_DEBUG_ROS_LEAK_MB": "20"}
     )

@@ -190,7 +190,9 @@ def test_a_child_is_replaced_for_silence_only_if_it_could_run(
     hangs.
     """
     held(monkeypatch, share)
-    limits = SupervisorLimits(start_s=60.0, silent_s=0.5, weigh_s=0.1, backoff_s=0.05, farewell_s=0.2, starved_s=2.0)
+    limits = SupervisorLimits(
+        start_s=60.0, silent_s=0.5, memory_period_s=0.1, backoff_s=0.05, exit_s=0.2, starved_s=2.0
+    )
     probe = bench.probe(command=fake("mute"), limits=limits)
     until(lambda: probe.restarts >= 1, "a replacement")
     words = bench.notes[0]

@@ -21,7 +21,7 @@ from tests.fakes.ros_bench import ROOT, Bench, gone, seen, stale, until
 pytestmark = pytest.mark.one_distribution
 """No ROS at all."""
 
-FAST = SupervisorLimits(start_s=60.0, silent_s=60.0, weigh_s=0.1, backoff_s=0.05, backoff_max_s=0.2, farewell_s=0.5)
+FAST = SupervisorLimits(start_s=60.0, silent_s=60.0, memory_period_s=0.1, backoff_s=0.05, backoff_max_s=0.2, exit_s=0.5)
 """Quick, but with long limits for a child that, on a busy machine, gets no CPU for seconds, as this process does."""
 SHORT_LIMITS = replace(FAST, start_s=2.0, silent_s=0.5)
 

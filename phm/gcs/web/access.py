@@ -19,7 +19,9 @@ from phm.gcs.web.sessions import Sessions
 logger = logging.getLogger(__name__)
 
 CSRF = "X-PHM-CSRF"
-MAX_BODY, MOST_BODY = 65_536, 1_048_576
+MAX_BODY = 65_536
+MAX_CONFIG_BODY = 1_048_576
+"""Of a request with files of the configuration."""
 MAX_URL = 4096
 BODY_S = 10.0
 """The complete body of a request must arrive within this time."""

@@ -19,11 +19,11 @@ from aiohttp import web
 
 from phm.core import threads
 from phm.gcs.web import routes
-from phm.gcs.web.access import MOST_BODY, AccessControl, Handler
+from phm.gcs.web.access import MAX_CONFIG_BODY, AccessControl, Handler
 from phm.gcs.web.clients import POLL_S, Clients
 from phm.gcs.web.connections import MAX_CONNECTIONS, Connections
 from phm.gcs.web.options import ListenOptions
-from phm.gcs.web.server_keys import CLIENTS, GATE
+from phm.gcs.web.server_keys import ACCESS, CLIENTS
 from phm.gcs.web.site import Site
 
 logger = logging.getLogger(__name__)
@@ -52,11 +52,11 @@ class WebServer:
         self._listener = socket.create_server((host, options.port), family=family, backlog=MAX_CONNECTIONS)
         self.address: tuple[str, int] = self._listener.getsockname()[:2]
         self._connections = Connections(site.clock)
-        gate = AccessControl(options, self.address[1], site.clock)
-        self.clients = Clients(site.clock, site.on_clients, gate.lasts)
-        self._app = web.Application(middlewares=[self._serve_one, gate.middleware], client_max_size=MOST_BODY)
-        self._app[GATE], self._app[CLIENTS] = gate, self.clients
-        self._app.on_response_prepare.append(gate.headers)
+        access = AccessControl(options, self.address[1], site.clock)
+        self.clients = Clients(site.clock, site.on_clients, access.lasts)
+        self._app = web.Application(middlewares=[self._serve_one, access.middleware], client_max_size=MAX_CONFIG_BODY)
+        self._app[ACCESS], self._app[CLIENTS] = access, self.clients
+        self._app.on_response_prepare.append(access.headers)
         self._app.add_routes(add_routes(site))
         self._loop: asyncio.AbstractEventLoop | None = None
         self._closing = threading.Event()

@@ -7,5 +7,5 @@ from aiohttp import web
 from phm.gcs.web.access import AccessControl
 from phm.gcs.web.clients import Clients
 
-GATE: web.AppKey[AccessControl] = web.AppKey("gate", AccessControl)
+ACCESS: web.AppKey[AccessControl] = web.AppKey("access", AccessControl)
 CLIENTS: web.AppKey[Clients] = web.AppKey("clients", Clients)

@@ -70,7 +70,8 @@ class SupervisorLimits:
     """Maximum time between two messages in which the child could run; it sends four a second."""
     starved_s: float = 30.0
     """The maximum in any case. Replacing a child that waits for a core does not help: a start needs more CPU time."""
-    weigh_s: float = 1.0
+    memory_period_s: float = 1.0
+    """Its DDS participant is checked as often as its memory."""
     doubt_s: float = DOUBT_S
     unnamed_s: float = UNNAMED_S
     unreceived_s: float = UNRECEIVED_S
@@ -80,9 +81,9 @@ class SupervisorLimits:
     """A child that ran this long resets the back-off."""
     missing_s: float = 60.0
     """Time between attempts without rclpy."""
-    goodbye_s: float = 0.2
+    last_write_s: float = 0.2
     """Time to write the last array to a child before it is asked to exit."""
-    farewell_s: float = 2.5
+    exit_s: float = 2.5
     """Time for a child to publish its last arrays and exit before SIGKILL; on a busy machine it may get no CPU for a second."""
 
 
@@ -129,7 +130,7 @@ class RosSupervisor:
         self._lock = threading.Lock()
         self._view = self._blank
         self._late = SchedulingDelay()
-        self._posts: dict[str, bytes] = {}
+        self._orders: dict[str, bytes] = {}
         self._unsent: dict[str, int] = {}
         self._log_texts: set[str] = set()
         self._dropped_s: float | None = None
@@ -201,9 +202,9 @@ class RosSupervisor:
         with self._lock:
             if self._view.graph is None or self._closing:
                 return 0
-            self._unsent[topic] = self._unsent.get(topic, 0) + 1 if topic in self._posts else 0
-            self._posts[topic] = line
-            self._poke()
+            self._unsent[topic] = self._unsent.get(topic, 0) + 1 if topic in self._orders else 0
+            self._orders[topic] = line
+            self._wake_thread()
             return self._unsent[topic]
 
     def renew(self, reason: str) -> None:
@@ -212,7 +213,7 @@ class RosSupervisor:
             if self._closing:
                 return
             self._renew = reason
-            self._poke()
+            self._wake_thread()
 
     def close(self) -> None:
         """End the child and the thread. Safe to call twice."""
@@ -220,9 +221,9 @@ class RosSupervisor:
             if self._closing:
                 return
             self._closing = True
-        self._poke()
+        self._wake_thread()
         if self._thread is not None:
-            threads.join(self._thread, self._limits.farewell_s + 5.0)
+            threads.join(self._thread, self._limits.exit_s + 5.0)
         if self._thread is None or not self._thread.is_alive():
             self._lose("the ROS probe is closed")
             os.close(self._wake)
@@ -234,7 +235,7 @@ class RosSupervisor:
         while not self._closing:
             began_s = self._clock.mono()
             try:
-                sentence, wait_s = self._one_life()
+                sentence, wait_s = self._run_child()
             except Exception as error:  # a defect must not end the supervision
                 sentence, wait_s = f"the ROS probe failed: {error!r}", None
             if self._clock.mono() - began_s >= self._limits.steady_s:
@@ -247,7 +248,7 @@ class RosSupervisor:
             self._pause(wait_s)
         self._lose("the ROS probe is closed")
 
-    def _one_life(self) -> tuple[str, float | None]:
+    def _run_child(self) -> tuple[str, float | None]:
         """Start a child and supervise it until it ends. Returns why it ended, and how long to wait (None: back off)."""
         with self._lock:
             self._why = "the ROS child is starting" if self._restarts == 0 else f"{self._why}; a new one is starting"
@@ -259,10 +260,10 @@ class RosSupervisor:
         self._pid = child.pid
         missing: list[Missing] = []
         try:
-            reason = self._attend(child, missing)
+            reason = self._supervise(child, missing)
         finally:
             orderly = self._closing or bool(self._renew)
-            child.end(self._limits.farewell_s if orderly or child.over else 0.0)
+            child.end(self._limits.exit_s if orderly or child.over else 0.0)
             self._pid = 0
         if self._closing:
             return "the ROS probe is closed", 0.0
@@ -272,14 +273,14 @@ class RosSupervisor:
             return self._report(_missing_sentence(missing[-1])), self._limits.missing_s
         return self._report(f"the ROS child {reason or child.exit_reason()}"), None
 
-    def _attend(self, child: ChildProcess, missing: list[Missing]) -> str:
+    def _supervise(self, child: ChildProcess, missing: list[Missing]) -> str:
         """Read until it must be replaced; returns why, or nothing if it ended by itself or on request."""
-        received_s = weighed_s = looked_s = self._clock.mono()
+        received_s = measured_s = looked_s = self._clock.mono()
         progress, held_s = ProcessStallMeter(child.pid), 0.0
         limit_s = self._limits.start_s
         dropped = 0
         while not child.over and not self._closing and not self._renew:
-            self._send_post(child)
+            self._send_orders(child)
             lines = child.read(min(0.5, limit_s / 2), self._wake)
             self._drain()
             before_s, now_s = looked_s, self._clock.mono()
@@ -287,7 +288,7 @@ class RosSupervisor:
             held_s = 0.0 if lines else held_s + max(progress.measure(now_s), self._clock.late_s(before_s))
             if child.dropped > dropped:
                 dropped = child.dropped
-                self._lose_sight(now_s)
+                self._discard_graph(now_s)
             for line in lines:
                 try:
                     message = decode(line)
@@ -306,9 +307,9 @@ class RosSupervisor:
             if now_s - received_s - held_s > limit_s or now_s - received_s > limit_s + self._limits.starved_s:
                 held = f" (besides {held_s:.0f} s in which it could not run)" if held_s >= 1.0 else ""
                 return f"was unresponsive for {limit_s:g} s{held} and was killed"
-            if now_s - weighed_s >= self._limits.weigh_s:
-                weighed_s = now_s
-                self._doubt(now_s)
+            if now_s - measured_s >= self._limits.memory_period_s:
+                measured_s = now_s
+                self._check_participant(now_s)
                 if (rss := child.rss_bytes()) > self._max_memory:
                     return f"used {rss / 1e6:.0f} MB, allowed are {self._max_memory / 1e6:.0f} MB, and was killed"
         if self._closing:
@@ -320,7 +321,7 @@ class RosSupervisor:
             self._on_note(f"the ROS child is not fully restricted: {message.missing}")
         self._sandbox = message.missing
 
-    def _doubt(self, now_s: float) -> None:
+    def _check_participant(self, now_s: float) -> None:
         """A node that is listed twice or without a name for too long, or that only others receive, is a defect of this participant:
         replace it."""
         graph = self._view.graph
@@ -344,17 +345,17 @@ class RosSupervisor:
 
     def _finish(self, child: ChildProcess) -> None:
         """The waiting array may be PHM's last one: the child reads it before the end of its input."""
-        self._send_post(child)
-        until_s = self._clock.mono() + self._limits.goodbye_s
+        self._send_orders(child)
+        until_s = self._clock.mono() + self._limits.last_write_s
         while child.writing and not child.over and self._clock.mono() < until_s:
             child.read(0.02, self._wake)
             self._drain()
 
-    def _send_post(self, child: ChildProcess) -> None:
+    def _send_orders(self, child: ChildProcess) -> None:
         with self._lock:
-            if self._posts and not child.writing:
-                child.send(b"".join(self._posts.values()))
-                self._posts.clear()
+            if self._orders and not child.writing:
+                child.send(b"".join(self._orders.values()))
+                self._orders.clear()
 
     def _take(self, message: Message, now_s: float) -> None:
         with self._lock:
@@ -372,7 +373,7 @@ class RosSupervisor:
         if changed:
             self._on_change()
 
-    def _lose_sight(self, now_s: float) -> None:
+    def _discard_graph(self, now_s: float) -> None:
         """Discard the graph after a message that was too long: it may have changed the graph."""
         with self._lock:
             had_one = self._view.graph is not None
@@ -385,7 +386,7 @@ class RosSupervisor:
         with self._lock:
             had_one = self._view.graph is not None
             self._view = self._blank
-            self._posts.clear()
+            self._orders.clear()
             self._why = sentence
         if had_one and not self._closing:
             self._on_change()
@@ -405,7 +406,7 @@ class RosSupervisor:
             self._on_note(sentence)
         return sentence
 
-    def _poke(self) -> None:
+    def _wake_thread(self) -> None:
         os.eventfd_write(self._wake, 1)
 
     def _drain(self) -> None:

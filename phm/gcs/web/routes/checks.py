@@ -10,7 +10,7 @@ from aiohttp import web
 
 from phm.config import ConfigError
 from phm.core.own_thread import NoThread, in_own_thread
-from phm.gcs.web.access import MOST_BODY, HttpProblem, answer, operate, read_json, view
+from phm.gcs.web.access import MAX_CONFIG_BODY, HttpProblem, answer, operate, read_json, view
 from phm.gcs.web.config_delivery import ConfigDelivery, NotDelivered
 from phm.gcs.web.config_editor import ConfigEditor, NotSaved
 from phm.gcs.web.site import Site
@@ -44,11 +44,11 @@ def routes(site: Site) -> Sequence[web.RouteDef]:
         return answer(await _run(lambda: here().open(str(body.get("name")))))
 
     async def check(request: web.Request) -> web.Response:
-        body = await read_json(request, MOST_BODY)
+        body = await read_json(request, MAX_CONFIG_BODY)
         return answer(await _run(lambda: here().check(body)))
 
     async def save(request: web.Request) -> web.Response:
-        body = await read_json(request, MOST_BODY)
+        body = await read_json(request, MAX_CONFIG_BODY)
         name, text, version = (body.get(key) for key in ("name", "text", "version"))
         if not (isinstance(name, str) and isinstance(text, str) and isinstance(version, str)):
             raise HttpProblem(400, "send name, text and version")

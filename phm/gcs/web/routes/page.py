@@ -10,7 +10,7 @@ from phm.gcs.web.access import HttpProblem, answer, public, read_json, view
 from phm.gcs.web.config_editor import ConfigEditor
 from phm.gcs.web.options import OPERATE
 from phm.gcs.web.routes.checks import EXTRA as CHECKS
-from phm.gcs.web.server_keys import CLIENTS, GATE
+from phm.gcs.web.server_keys import ACCESS, CLIENTS
 from phm.gcs.web.site import Site
 from phm.gcs.web.static_files import StaticFile, load
 
@@ -36,27 +36,27 @@ def routes(site: Site) -> Sequence[web.RouteDef]:
 
     async def session(request: web.Request) -> web.Response:
         """Where no token is needed, the sender may operate: only programs of this machine can ask."""
-        gate = request.app[GATE]
-        role, csrf = gate.session(request)
-        if role or gate.sessions.tokens is not None:
+        access = request.app[ACCESS]
+        role, csrf = access.session(request)
+        if role or access.sessions.tokens is not None:
             return answer(_about(request, site, role, csrf))
         return _begin(request, site, OPERATE)
 
     async def login(request: web.Request) -> web.Response:
-        gate = request.app[GATE]
+        access = request.app[ACCESS]
         token = (await read_json(request)).get("token")
-        if gate.sessions.tokens is None:
+        if access.sessions.tokens is None:
             return _begin(request, site, OPERATE)
         if not isinstance(token, str) or len(token) > MAX_TOKEN:
             raise HttpProblem(400, 'send {"token": "..."}')
-        return _begin(request, site, gate.check_token(request, token))
+        return _begin(request, site, access.check_token(request, token))
 
     async def logout(request: web.Request) -> web.Response:
-        gate = request.app[GATE]
-        gate.sessions.end(request.cookies.get(gate.cookie, ""))
+        access = request.app[ACCESS]
+        access.sessions.end(request.cookies.get(access.cookie, ""))
         request.app[CLIENTS].prune()  # its streams end with it
         response = answer({})
-        response.del_cookie(gate.cookie, path="/")
+        response.del_cookie(access.cookie, path="/")
         return response
 
     return [
@@ -81,18 +81,18 @@ def _response(request: web.Request, file: StaticFile) -> web.Response:
 
 
 def _begin(request: web.Request, site: Site, role: str) -> web.Response:
-    gate = request.app[GATE]
-    gate.sessions.end(request.cookies.get(gate.cookie, ""))
-    key, session = gate.sessions.begin(role, site.clock.mono(), request.remote or "?")
+    access = request.app[ACCESS]
+    access.sessions.end(request.cookies.get(access.cookie, ""))
+    key, session = access.sessions.begin(role, site.clock.mono(), request.remote or "?")
     response = answer(_about(request, site, session.role, session.csrf))
-    secure = gate.options.tls is not None or gate.options.behind_proxy
-    response.set_cookie(gate.cookie, key, path="/", httponly=True, samesite="Strict", secure=secure)
+    secure = access.options.tls is not None or access.options.behind_proxy
+    response.set_cookie(access.cookie, key, path="/", httponly=True, samesite="Strict", secure=secure)
     return response
 
 
 def _about(request: web.Request, site: Site, role: str, csrf: str | None) -> dict[str, object]:
     """role: empty, when the sender has to log in. tokens: whether one can log in, and out. checks: whether there are files to edit."""
-    editor, tokens = site.extra.get(CHECKS), request.app[GATE].sessions.tokens is not None
+    editor, tokens = site.extra.get(CHECKS), request.app[ACCESS].sessions.tokens is not None
     return {
         "role": role or None,
         "csrf": csrf,
