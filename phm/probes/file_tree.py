@@ -51,7 +51,7 @@ class TreeListing:
     size: int = 0
     """Bytes of all files together."""
     part: int = 0
-    """Bytes that were read of files that are pending."""
+    """Bytes that were read of large files so far."""
 
 
 @dataclass(slots=True)
@@ -273,6 +273,7 @@ class _Walk:
         if not stat.S_ISREG(before.st_mode):
             return  # replaced meanwhile
         part, until_s = self._parts.get(path), self._clock.mono() + FILE_S
+        continues = lasts and (part is None or part.key == key)
         if part is None or part.key != key:
             part = _Part(key)
         os.lseek(number, part.size, os.SEEK_SET)
@@ -282,7 +283,8 @@ class _Walk:
             self._bytes += len(piece)
             # At exactly its size the next read ends it, unless it grows.
             if self._clock.mono() > until_s and part.size != before.st_size:
-                self.listing.pending.add(path)
+                # One that is written all the time is named and not read ten times as often: no scan would complete it.
+                (self.listing.pending if continues else self.listing.unreadable).add(path)
                 if lasts and part.size < before.st_size:
                     self.parts[path] = part
                 return
