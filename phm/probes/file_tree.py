@@ -84,28 +84,30 @@ class TreeReader:
         mounts: Mapping[str, int | None] | None = None,
         *,
         fresh: bool = False,
+        partly: bool = False,
     ) -> TreeListing:
         """folder: its descriptor, which may be O_PATH. fresh: walk now, whatever it costs.
 
         mounts: descriptors of what is read in place of these relative paths, because it is mounted there; None if PHM
         does not see it. Raises CannotTell if the folder has one of those, has too many files, is too slow or cannot be
-        read, or if another thread is still reading it after BUSY_S.
+        read, or if another thread is still reading it after BUSY_S. partly: a mount that PHM does not see is only
+        unreadable.
         """
         if not self._lock.acquire(timeout=BUSY_S):
             raise CannotTell("an earlier run is still reading it: check that its disk or network volume answers")
         try:
             if fresh or self._clock.mono() >= self._next_s:
-                self._scan(folder, ignore, mounts or {})
+                self._scan(folder, ignore, mounts or {}, partly=partly)
             if self._problem:
                 raise CannotTell(self._problem)
             return self._listing
         finally:
             self._lock.release()
 
-    def _scan(self, folder: int, ignore: Sequence[str], mounts: Mapping[str, int | None]) -> None:
+    def _scan(self, folder: int, ignore: Sequence[str], mounts: Mapping[str, int | None], *, partly: bool) -> None:
         """A failure is remembered like a listing: a walk that fails costs as much as one that does not."""
         began_s = self._clock.mono()
-        walk = _Walk(self._clock, ignore, mounts, self._known, self._parts, self._waiting)
+        walk = _Walk(self._clock, ignore, mounts, self._known, self._parts, self._waiting, partly=partly)
         self._problem = "the previous run did not finish reading it"
         try:
             walk.run(folder)
@@ -145,9 +147,11 @@ class _Walk:
         known: dict[str, tuple[Stamp, str]],
         parts: dict[str, _Part],
         waiting: Sequence[str],
+        *,
+        partly: bool,
     ) -> None:
         self._clock, self._ignore, self._mounts = clock, tuple(ignore), mounts
-        self._known, self._parts = known, parts
+        self._known, self._parts, self._partly = known, parts, partly
         self._began_s = clock.mono()
         self._entries, self._bytes = 0, 0
         self._changed: set[str] = set()
@@ -211,6 +215,8 @@ class _Walk:
         if path not in self._mounts:
             return os.stat(name, dir_fd=number, follow_symlinks=False)
         mounted = self._mounts[path]
+        if mounted is None and self._partly:
+            raise OSError(f"{path} is covered by a mount")
         if mounted is None:
             raise CannotTell(
                 f"another mount covers {path} in it, which PHM does not see: mount that for PHM, too, or add it to `ignore`"
