@@ -25,6 +25,8 @@ def address(ctx: click.Context, param: click.Parameter, value: str | None) -> tu
     if value is None:
         return None
     if _CONNECTION.match(value):
+        if ctx.info_name != "gcs":
+            raise click.BadParameter(f"{value!r} is not HOST:PORT, e.g. 192.168.7.1:8014")
         option = param.opts[0]
         raise click.BadParameter(f"{value!r} is a connection: write it before {option}: phm gcs {value} {option} 8080")
     host, _, port = value.rpartition(":")

@@ -244,7 +244,7 @@ class AgentObserver:
         pause, least, since_s = threading.Event(), (-1, 0), self.clock.mono()
         while True:
             try:
-                listing = files.listing(key, path, IGNORED, fresh=True)
+                listing = files.listing(key, path, IGNORED, fresh=True, partly=True)
             except CannotTell as reason:
                 raise ObservationFailed(f"--files {key}:{path}: {reason}") from None
             if listing is None:

@@ -30,7 +30,8 @@ class ObservedContainer:
 class ObservedFolder:
     """A folder of a container with the checksum of each file.
 
-    unstable: files that changed while they were watched. unreadable: files that PHM may not read.
+    unstable: files that changed while they were watched. unreadable: files that PHM may not read, and mounts in
+    it that PHM does not see.
     """
 
     container: str

@@ -51,7 +51,7 @@ class TreeListing:
     size: int = 0
     """Bytes of all files together."""
     part: int = 0
-    """Bytes that were read of files that are pending."""
+    """Bytes that were read of large files so far."""
 
 
 @dataclass(slots=True)
@@ -84,28 +84,30 @@ class TreeReader:
         mounts: Mapping[str, int | None] | None = None,
         *,
         fresh: bool = False,
+        partly: bool = False,
     ) -> TreeListing:
         """folder: its descriptor, which may be O_PATH. fresh: walk now, whatever it costs.
 
         mounts: descriptors of what is read in place of these relative paths, because it is mounted there; None if PHM
         does not see it. Raises CannotTell if the folder has one of those, has too many files, is too slow or cannot be
-        read, or if another thread is still reading it after BUSY_S.
+        read, or if another thread is still reading it after BUSY_S. partly: a mount that PHM does not see is only
+        unreadable.
         """
         if not self._lock.acquire(timeout=BUSY_S):
             raise CannotTell("an earlier run is still reading it: check that its disk or network volume answers")
         try:
             if fresh or self._clock.mono() >= self._next_s:
-                self._scan(folder, ignore, mounts or {})
+                self._scan(folder, ignore, mounts or {}, partly=partly)
             if self._problem:
                 raise CannotTell(self._problem)
             return self._listing
         finally:
             self._lock.release()
 
-    def _scan(self, folder: int, ignore: Sequence[str], mounts: Mapping[str, int | None]) -> None:
+    def _scan(self, folder: int, ignore: Sequence[str], mounts: Mapping[str, int | None], *, partly: bool) -> None:
         """A failure is remembered like a listing: a walk that fails costs as much as one that does not."""
         began_s = self._clock.mono()
-        walk = _Walk(self._clock, ignore, mounts, self._known, self._parts, self._waiting)
+        walk = _Walk(self._clock, ignore, mounts, self._known, self._parts, self._waiting, partly=partly)
         self._problem = "the previous run did not finish reading it"
         try:
             walk.run(folder)
@@ -145,9 +147,11 @@ class _Walk:
         known: dict[str, tuple[Stamp, str]],
         parts: dict[str, _Part],
         waiting: Sequence[str],
+        *,
+        partly: bool,
     ) -> None:
         self._clock, self._ignore, self._mounts = clock, tuple(ignore), mounts
-        self._known, self._parts = known, parts
+        self._known, self._parts, self._partly = known, parts, partly
         self._began_s = clock.mono()
         self._entries, self._bytes = 0, 0
         self._changed: set[str] = set()
@@ -211,6 +215,8 @@ class _Walk:
         if path not in self._mounts:
             return os.stat(name, dir_fd=number, follow_symlinks=False)
         mounted = self._mounts[path]
+        if mounted is None and self._partly:
+            raise OSError(f"{path} is covered by a mount")
         if mounted is None:
             raise CannotTell(
                 f"another mount covers {path} in it, which PHM does not see: mount that for PHM, too, or add it to `ignore`"
@@ -273,6 +279,7 @@ class _Walk:
         if not stat.S_ISREG(before.st_mode):
             return  # replaced meanwhile
         part, until_s = self._parts.get(path), self._clock.mono() + FILE_S
+        continues = lasts and (part is None or part.key == key)
         if part is None or part.key != key:
             part = _Part(key)
         os.lseek(number, part.size, os.SEEK_SET)
@@ -282,7 +289,8 @@ class _Walk:
             self._bytes += len(piece)
             # At exactly its size the next read ends it, unless it grows.
             if self._clock.mono() > until_s and part.size != before.st_size:
-                self.listing.pending.add(path)
+                # One that is written all the time is named and not read ten times as often: no scan would complete it.
+                (self.listing.pending if continues else self.listing.unreadable).add(path)
                 if lasts and part.size < before.st_size:
                     self.parts[path] = part
                 return

@@ -106,10 +106,12 @@ class Files:
             comparison = self._comparisons.setdefault(key, Comparison(key[-1]))
         return comparison.of(expected, found)
 
-    def listing(self, container: str, path: str, ignore: Sequence[str], *, fresh: bool = False) -> TreeListing | None:
+    def listing(
+        self, container: str, path: str, ignore: Sequence[str], *, fresh: bool = False, partly: bool = False
+    ) -> TreeListing | None:
         """The files of a folder of the container, with the checksums that could be calculated in this scan.
 
-        fresh: do not use the listing of an earlier scan.
+        fresh: do not use the listing of an earlier scan. partly: also if something is mounted in it that PHM does not see.
         """
         path = normal(path)
         try:
@@ -138,7 +140,8 @@ class Files:
                 reader = self._trees.setdefault((container, path, tuple(ignore)), TreeReader(self._clock))
             # Without the lock: a volume that hangs delays only the looks at its own folders.
             with ExitStack() as opened:
-                return reader.read(number, ignore, _mounts_below(path, mounts, opened), fresh=fresh)
+                below = _mounts_below(path, mounts, opened)
+                return reader.read(number, ignore, below, fresh=fresh, partly=partly)
         except OSError as error:
             raise CannotTell(f"{path} cannot be read: {error.strerror}") from None
         finally:

@@ -8,6 +8,7 @@ import socket
 import threading
 from pathlib import Path
 
+import pytest
 from click.testing import CliRunner
 
 from phm.cli import group
@@ -36,3 +37,11 @@ def test_words_of_who_answers_steer_no_terminal(tmp_path: Path) -> None:
         thread.join()
     assert result.exit_code == 1 and "applied" in result.output
     assert "\x1b" not in result.output and result.output.count("\n") == 1
+
+
+@pytest.mark.parametrize("arguments", [("deliver", __file__), ("init", "--deliver"), ("status", "--web")])
+def test_only_phm_gcs_knows_the_urls_of_connections(arguments: tuple[str, ...]) -> None:
+    """The refusal names no other verb."""
+    result = CliRunner().invoke(group, [*arguments, "http://10.0.0.5:8014"])
+    assert result.exit_code == 2
+    assert "'http://10.0.0.5:8014' is not HOST:PORT, e.g. 192.168.7.1:8014" in result.output, result.output

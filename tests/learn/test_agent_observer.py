@@ -196,6 +196,15 @@ def test_a_folder_that_cannot_be_read_is_refused(engine: FakeEngine, folder: tup
         watch(engine, folders=(folder,))
 
 
+def test_a_mount_in_a_folder_that_phm_cannot_see_is_left_out(engine: FakeEngine, tmp_path: Path) -> None:
+    """PHM may be unable to see it at all, such as a tmpfs. The entry ignores it."""
+    (tmp_path / "data" / "run").mkdir()
+    (tmp_path / "data" / "run" / "covered").write_text("covered")
+    engine.containers["ros_app"]["HostConfig"]["Tmpfs"] = {"/data/run": ""}
+    (folder,) = watch(engine, folders=(("ros_app", "/data"),)).folders
+    assert (sorted(folder.files), folder.unreadable) == (["a", "b"], ("run",))
+
+
 class Supervisor:
     """In the place of the ROS child: reports a graph, and rates of the topics that are asked for."""
 

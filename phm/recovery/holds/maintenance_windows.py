@@ -46,7 +46,10 @@ class MaintenanceWindows:
             self._report(target, f"{target or 'every container'}: the label {LABEL} is not used: {error}")
             return
         found = window.open_at(now.utc)
-        if found is None or (target, found[0]) in self._holds.done():
+        if found is None:
+            return
+        # PHM 0.2.0 kept only the beginning of an occurrence.
+        if not {(target, found[0]), (target, found[0].partition("/")[0])}.isdisjoint(self._holds.done()):
             return
         if not any(hold.target == target and hold.occurrence == found[0] for hold in self._open()):
             yield Hold(target, WINDOW, now.mono + min(found[1], window.length_s), by, reason, found[0])

@@ -137,4 +137,5 @@ def test_a_folder_is_compared_again_only_after_a_change(tmp_path: Path, monkeypa
     own.write_text("altered")
     assert look() == (["compare"], 1)
     expected.write_bytes(manifest.encode({"own": total("altered")}))
+    os.utime(expected, ns=(1, 1))  # times of files may have steps of 4 ms, and it has the same size
     assert look() == (["_ignored", "compare"], 0)

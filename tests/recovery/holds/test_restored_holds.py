@@ -99,6 +99,15 @@ def test_a_released_window_stays_released_over_a_restart(scenes: Any, tmp_path: 
     assert second.changes() == [] and second.service.snapshot() == []
 
 
+def test_a_window_that_was_released_before_an_upgrade_stays_released(scenes: Any) -> None:
+    """PHM 0.2.0 kept the beginning of an occurrence without its end."""
+    scene = scenes(maintenance=[{"when": "02:00-02:10", "container": "cam"}])
+    scene.holds.finish("cam", "2026-11-22T02:00Z")
+    scene.clock.jump_utc(1795312860.0 - scene.clock.utc())  # 2026-11-22 02:01 UTC
+    scene.agent.rest(20)
+    assert scene.changes() == [] and scene.service.snapshot() == []
+
+
 def test_a_window_removed_from_the_configuration_ends(scenes: Any, tmp_path: Path) -> None:
     """Its saved hold ends, too."""
     first = scenes(tmp_path, maintenance=[{"when": "02:00-02:10", "container": "cam"}])
