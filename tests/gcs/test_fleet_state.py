@@ -7,6 +7,7 @@ import json
 import pytest
 
 from phm.core.model import Level, Slot
+from phm.gcs.agent import MAX_BAD
 from phm.gcs.events import encode
 from phm.gcs.frames import Heartbeat, TunnelPayload
 from phm.wire import tunnel
@@ -279,7 +280,7 @@ def test_memory_is_bounded(ground: Ground) -> None:
         ground.receive(tunnel_frame(7, tunnel.FaultDetail(f"ab-{number}", 0, 16, b"x")))
         ground.receive(Heartbeat(number % 256, number // 2 % 256, 6, 8, 0, 0, 4))
     held = ground.store.fleet.agents[7, 193]
-    assert len(ground.agent(7)["bad"]) == 60
+    assert len(ground.agent(7)["bad"]) == 15 * MAX_BAD
     assert len(held.details) == 4
     assert len(ground.snapshot()["stations"]) == 16
 

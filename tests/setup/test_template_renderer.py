@@ -217,7 +217,7 @@ def test_text_from_outside_stays_one_value(text: str) -> None:
 
 def test_phm_yaml_reads_the_mounts_of_the_service_in_the_guide() -> None:
     """docs/guides/compose.md puts this file, alone, beside the user's own Compose file."""
-    (block,) = (one for one in blocks("yaml") if one.page == "docs/guides/compose.md" and "services:" in one.text)
+    (block,) = (one for one in blocks("yaml") if one.page == "docs/guides/compose.md" and "  phm:" in one.text)
     guide, own = yaml.safe_load(block.text), made(application("ros_app"), mavlink="udpout:host.docker.internal:14550")
     found = guide["services"]["phm"]
     mounts = dict(reversed(one.split(":")[:2]) for one in found["volumes"])
