@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -50,6 +51,9 @@ within 0.1 s, on a busy machine within a second."""
 UNSTARTED_S = 60.0
 """How long a container that was created may wait for its start. Only a person or a tool creates one, and `docker compose up` starts it
 when its networks are connected and the health checks of what it depends on have passed, so a start by PHM would come too early."""
+UNSTARTED_ALONE_S = 15.0
+"""The same for a container that Compose starts without waiting for another service: Compose may still be replacing others, which it does
+before it starts any, but a start by PHM does no harm."""
 _SHOWN = {
     api.CgroupState.FROZEN: "is paused: its cgroup is frozen",
     api.CgroupState.EMPTY: "has ended: its cgroup has no process",
@@ -158,31 +162,32 @@ class Container(PerContainer):
         self._restarts.observe(fact, now_s)
         self._trend.observe(fact, now_s)
         values: dict[str, api.Value] = {"restart_count": fact.restart_count}
-        if self._waits_for_start(fact, world):
+        patience_s = UNSTARTED_ALONE_S if fact.depends_on == "" else UNSTARTED_S
+        if self._unstarted_s(fact, world) < patience_s:
             words = (
-                f"{self.key} was created and has not been started yet; PHM gives its creator {span(UNSTARTED_S)} for that. "
+                f"{self.key} was created and has not been started yet; PHM gives its creator {span(patience_s)} for that. "
                 f"`docker start {fact.name}` starts it"
             )
             # Published only where a fault is open already: else it is known as `created` by then.
-            return replace(self._bad("not_started", words, "not started yet", values), settle_s=UNSTARTED_S)
+            return replace(self._bad("not_started", words, "not started yet", values), settle_s=patience_s)
         if fact.running:
             return self._running(fact, {"pid": fact.pid, **values}, more_often=self._trend.rising(now_s))
         return self._stopped(fact, {"exit_code": fact.exit_code, **values})
 
-    def _waits_for_start(self, fact: api.ContainerFact, world: api.World) -> bool:
-        """Whether it was created so lately that who created it may still start it. The engine keeps the error of a start that failed.
+    def _unstarted_s(self, fact: api.ContainerFact, world: api.World) -> float:
+        """How long it has waited for its first start; infinity: it was started, or that failed, of which the engine keeps the error.
 
         The engine may have been away since, or PHM. Its time stamp is from a clock that may be set or differ, but not from before the
         last time when there was another container.
         """
         if fact.status != "created" or fact.error:
             self._unstarted = None
-            return False
+            return math.inf
         now_s = world.clock.mono()
         if self._unstarted is None or self._unstarted[0] != fact.id:
             known_s = now_s if fact.created_at is None else world.clock.latest(fact.created_at)
             self._unstarted = (fact.id, min(now_s, max(known_s, self._asked_at)))
-        return now_s - self._unstarted[1] < UNSTARTED_S
+        return now_s - self._unstarted[1]
 
     def _running(self, fact: api.ContainerFact, values: dict[str, api.Value], *, more_often: bool) -> api.Result:
         starts = self._restarts

@@ -126,6 +126,8 @@ class ContainerFact:
     """Period to which that limit applies."""
     memory_limit: int | None = None
     """Bytes; None: no limit."""
+    depends_on: str | None = None
+    """The services that Docker Compose starts first, as its label lists them, with conditions; empty: none; None: not by Compose."""
     maintenance: str = ""
     """The label `phm.maintenance`: a maintenance window, in which the container is on hold (`phm.core.maintenance`)."""
 

@@ -29,6 +29,8 @@ ENTRYPOINT = "ros-entrypoint"
 """The first word of the entry point of PHM's image, which starts the program that follows."""
 ONEOFF = "com.docker.compose.oneoff"
 """Label of Compose: true at a container of `docker compose run`, which has the labels of its service, too (seen with Compose 2.26)."""
+DEPENDS_ON = "com.docker.compose.depends_on"
+"""Label of Compose: such as `db:service_healthy:false,cache:service_started:true`, also for `network_mode: service:...`; empty: none."""
 _OUTPUT_CHARS = 200
 _ALIVE = ("running", "paused", "restarting")
 _LEAST_S = 0.05
@@ -120,7 +122,7 @@ def is_phm(answer: Mapping[str, Any]) -> bool:
 def container_fact(answer: Mapping[str, Any]) -> ContainerFact:
     """The fact from an inspect response. Raises CannotTell if it contains no container or no state."""
     state, host = _part(answer, "State"), _part(answer, "HostConfig")
-    health = _part(state, "Health")
+    health, labels = _part(state, "Health"), _part(_part(answer, "Config"), "Labels")
     if not answer.get("Id") or not state.get("Status"):
         raise CannotTell("the Docker Engine described a container without id or state")
     return ContainerFact(
@@ -164,7 +166,8 @@ def container_fact(answer: Mapping[str, Any]) -> ContainerFact:
         cpu_limit=_cpu_limit(host),
         cpu_period_s=_cpu_period_s(host),
         memory_limit=_memory_limit(host),
-        maintenance=_text(_part(_part(answer, "Config"), "Labels").get(LABEL))[:_OUTPUT_CHARS],
+        depends_on=_text(labels[DEPENDS_ON])[:_OUTPUT_CHARS] if DEPENDS_ON in labels else None,
+        maintenance=_text(labels.get(LABEL))[:_OUTPUT_CHARS],
     )
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from phm_checks.container import UNSTARTED_S, Container
+from phm_checks.container import UNSTARTED_ALONE_S, Container
 from phm_checks.health import Health
 
 TIMEOUT_S = 30.0
 """The engine's, of the application's HEALTHCHECK."""
 LATE_S = {
-    "container_created": UNSTARTED_S + Container.period_s,
+    "container_created": UNSTARTED_ALONE_S + Container.period_s,
     "healthcheck_hangs": TIMEOUT_S + Health.period_s,
 }
 

@@ -70,7 +70,7 @@ _PROCESS_S = _graph_evidence.WAVER_PERIODS * beacon.PERIOD_S + nodes.Nodes.perio
 """The last one came just before its end, and the check runs once more."""
 _RATE = f"a rate is that of the last {estimator.WINDOW_S:g} s, and must be wrong in two measurements, made once a second: jitter is not a fault"
 _UNSTARTED = (
-    f"who created it may still start it, for {container.UNSTARTED_S:g} s, e.g. `docker compose up`, and the check runs every "
+    f"who created it may still start it, for {container.UNSTARTED_ALONE_S:g} s, e.g. `docker compose up`, and the check runs every "
     f"{container.Container.period_s:g} s"
 )
 HEALTHCHECK_S = 30.0
@@ -137,7 +137,7 @@ WAITS = {
     "callback_blocked": Wait(_EXECUTOR, _EXECUTOR_S),
     "clock_stepped": Wait("the clock is read once a second", READ_S),
     "container_killed": Wait(_REMOVAL, _REMOVAL_S),
-    "container_created": Wait(_UNSTARTED, container.UNSTARTED_S + container.Container.period_s),
+    "container_created": Wait(_UNSTARTED, container.UNSTARTED_ALONE_S + container.Container.period_s),
     "container_stopped": Wait(_AGAIN, ASK_AGAIN_S),  # no `kill` of the engine: it may not be removed
     "cpu_hog": Wait(
         "ERROR needs `host.cpu` of 98 % in each of two seconds, or as the mean over `host.cpu_window`: shorter peaks are normal",

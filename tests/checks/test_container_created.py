@@ -6,7 +6,7 @@ import pytest
 
 from phm import api, testing
 from phm.recovery.base import ladder_of
-from phm_checks.container import UNSTARTED_S, Container
+from phm_checks.container import UNSTARTED_ALONE_S, UNSTARTED_S, Container
 
 SETTINGS = testing.settings(containers=[{"name": "ros_app"}])
 FAILED = "exec: /nosuch: stat /nosuch: no such file or directory"
@@ -39,6 +39,17 @@ def test_a_created_container_is_reported_only_after_a_minute() -> None:
         assert ladder_of(result.condition, SETTINGS.recovery) == ()
     assert (last.level, last.condition, last.settle_s) == (api.Level.ERROR, "created", None)
     assert ladder_of("created", SETTINGS.recovery) == ("start",)
+
+
+@pytest.mark.parametrize(
+    ("depends_on", "patience_s"), [("", UNSTARTED_ALONE_S), ("db:service_healthy:false", UNSTARTED_S)]
+)
+def test_who_waits_for_no_other_service_is_reported_earlier(depends_on: str, patience_s: float) -> None:
+    """A start by PHM then does not come before the health check of another one."""
+    found = Created(depends_on=depends_on)
+    first, later, last = found.after(0.0), found.after(patience_s - 1.0), found.after(1.0)
+    assert (first.condition, first.settle_s) == (later.condition, later.settle_s) == ("not_started", patience_s)
+    assert (last.condition, last.settle_s) == ("created", None)
 
 
 def test_a_start_that_failed_is_reported_immediately() -> None:

@@ -10,7 +10,7 @@ import pytest
 from phm.facts import CannotTell, HealthcheckFact
 from phm.probes.attachment_cache import AttachmentCache
 from phm.probes.docker import Docker, own_ids
-from phm.probes.docker_facts import container_fact
+from phm.probes.docker_facts import DEPENDS_ON, container_fact
 from phm.probes.ping import Pinger
 from phm.testing import FakeClock, settings
 from phm.transport.docker import DockerEngine
@@ -92,7 +92,7 @@ def test_an_incomplete_response_is_still_a_fact() -> None:
     )
     assert (fact.health, fact.restart_policy, fact.networks[0].name) == ("none", "no", "n")
     assert [(mount.kind, mount.destination) for mount in fact.mounts] == [("tmpfs", "/run")]
-    assert fact.memory_limit is fact.created_at is None
+    assert fact.memory_limit is fact.created_at is fact.depends_on is None
 
 
 def test_a_complete_response_is_read_completely() -> None:
@@ -123,6 +123,13 @@ def test_a_complete_response_is_read_completely() -> None:
     assert fact.networks[0].fixed_addresses == ("10.9.0.2", "fd00::2")
     assert (fact.mounts[0].name, fact.mounts[0].writable) == ("v", False)
     assert (fact.devices[0].host_path, fact.devices[0].container_path) == ("/dev/a", "/dev/b")
+
+
+@pytest.mark.parametrize("services", ["", "db:service_healthy:false,cache:service_started:true"])
+def test_what_compose_starts_first_is_read_from_its_label(services: str) -> None:
+    """Compose 2.26 sets it for each container, also if there is no such service."""
+    assert container_fact(container("app", labels={DEPENDS_ON: services})).depends_on == services
+    assert container_fact(container("app", labels={})).depends_on is None
 
 
 def test_failed_probes_since_the_last_that_passed_have_code_and_duration() -> None:

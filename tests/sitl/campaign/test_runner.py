@@ -11,7 +11,7 @@ from unittest.mock import Mock
 
 import pytest
 
-from phm_checks.container import UNSTARTED_S
+from phm_checks.container import UNSTARTED_ALONE_S
 from sitl.campaign import irregular, runner as campaign_runner
 from sitl.campaign.busy import LASTS_S, RENEW_S
 from sitl.campaign.groups import groups
@@ -208,7 +208,7 @@ def test_slow_faults_have_longer_to_recover(runner: Runner) -> None:
     runner.profile = ALL["as-found"]
     assert runner._recovered_limit_s(made) == 150.0 + 33.0
     created = trial(injections=[injection(fault="container_created", evidence_s=0.1)])
-    assert runner._recovered_limit_s(created) > 150.0 + UNSTARTED_S, "PHM waits for its creator"
+    assert runner._recovered_limit_s(created) > 150.0 + UNSTARTED_ALONE_S, "PHM waits for its creator"
 
 
 def test_a_fault_that_an_outage_of_the_engine_hides_is_awaited_longer(
