@@ -15,18 +15,19 @@ from phm.core.clock import SystemClock
 from phm.core.model import Level, Slot
 from phm.core.settings import MavlinkSettings
 from phm.probes.swarm import SwarmMonitor
-from phm.testing import settings
+from phm.testing import FakeClock, settings
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
 from phm.transport.mavlink_signing import EPOCH_S, TICKS
 from phm.transport.priority import SIZES, default_periods
 from phm.wire import status_word, tunnel
 from phm.wire.tunnel import PeerState, PeerView
-from tests.fakes.mavlink import free_port, heartbeat
+from tests.fakes.mavlink import Sender, free_port, heartbeat
 from tests.fakes.until import until
 
 KEY = bytes(range(1, 33))
 HEALTHY = status_word.encode(dict.fromkeys(list(Slot)[:8], Level.OK))
+FAREWELL = mavlink.MAVLink_heartbeat_message(18, 8, 0, HEALTHY, mavlink.MAV_STATE_POWEROFF, 3)
 OURS = (1, 2, 3)
 Start = Callable[..., "Agent"]
 
@@ -159,10 +160,9 @@ def test_a_system_that_cannot_be_an_agent_is_ignored(start: Start, system: int) 
 def test_with_signing_an_unsigned_frame_is_ignored(start: Start) -> None:
     """A forged shutdown of a live agent, and heartbeats of agents that do not exist, change nothing."""
     agent = start([*OURS], signs=True)
-    farewell = mavlink.MAVLink_heartbeat_message(18, 8, 0, HEALTHY, mavlink.MAV_STATE_POWEROFF, 3)
     for _turn in range(3):
         agent.send(2, heartbeat(HEALTHY), signed=True)
-    agent.send(2, farewell)
+    agent.send(2, FAREWELL)
     agent.send(3, heartbeat(HEALTHY))
     agent.read()
 
@@ -173,5 +173,31 @@ def test_with_signing_an_unsigned_frame_is_ignored(start: Start) -> None:
 
     until(lambda: states(agent) == {2: "alive", 3: "never seen"}, "agent 2 alone", lambda: states(agent), step=refresh)
     assert agent.swarm._peers.peer(2).leaving is False  # type: ignore[union-attr]
-    agent.send(2, farewell, signed=True)
+    agent.send(2, FAREWELL, signed=True)
     until(lambda: agent.swarm._peers.peer(2).leaving, "the announced shutdown")  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(("signs", "state"), [(False, "left"), (True, "lost")])
+def test_only_signing_prevents_a_forged_shutdown_of_a_lost_agent(tmp_path: Path, signs: bool, state: str) -> None:
+    """A list of agents does not, and PHM must take it: after a radio outage an agent's own shutdown may be the first frame."""
+    key = tmp_path / "key"
+    key.write_bytes(KEY)
+    key.chmod(0o600)
+    signing = {"key": str(key) if signs else None}
+    chosen = settings(
+        agent={"id": 1},
+        swarm={"agents": [1, 3]},
+        mavlink={"endpoints": [{"url": "udpin:127.0.0.1:14550", "name": "radio"}], "signing": signing},
+    )
+    clock = FakeClock()
+    hub = MavlinkHub(chosen.mavlink, 1, clock)  # not started: frames are delivered by hand
+    swarm = SwarmMonitor(hub, 1, chosen.mavlink, chosen.swarm, clock, lambda: None, lambda: None)
+    agent, forger = Sender(3, 193), Sender(3, 193)
+    real = agent.received(heartbeat(HEALTHY))
+    real._signed = signs
+    hub._deliver(real, "radio")
+    clock.advance(600.0)
+    assert swarm.snapshot().peers[3].state == "lost"
+    hub._deliver(forger.received(FAREWELL), "radio")
+    clock.advance(600.0)
+    assert swarm.snapshot().peers[3].state == state
