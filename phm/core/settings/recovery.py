@@ -81,7 +81,8 @@ class RecoverySettings(Section):
     same_failure: Annotated[int, Field(ge=1, le=100)] = 3
     """After the same failure this many times: give up, report it, and leave it to the operator."""
     verify: Annotated[Seconds, Field(ge=1)] = 30.0
-    """Seconds within which the check must be OK again after an action; else the action has failed."""
+    """Seconds within which the check must be OK again after an action; else the action has failed. It has failed sooner if the check
+    still finds an error 2 s after its grace, which is `ros.grace` for nodes and topics."""
     stop_timeout: Annotated[Seconds, Field(ge=0, le=300)] = 5.0
     """Seconds between the stop signal and SIGKILL when PHM restarts a container. A container that asks for more time itself
     (`stop_grace_period` in Compose) gets it, up to 2 min."""

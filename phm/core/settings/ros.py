@@ -138,7 +138,8 @@ class RosSettings(Section):
     consensus: ConsensusSettings = ConsensusSettings()
     """The consensus of the nodes about each other."""
     grace: Annotated[Seconds, Field(ge=0, le=120)] = 8.0
-    """Seconds after a start or restart in which an incomplete graph is not yet a fault."""
+    """Seconds after a start or restart in which an incomplete graph is not yet a fault. 2 s later a restart by PHM has failed if its nodes
+    are still missing."""
     silence: Annotated[Seconds, Field(gt=0, le=60)] = 3.0
     """A topic without a message for max(three periods, this) is silent; sooner if it never paused for this long."""
     max_memory: Annotated[Bytes, Field(ge=50e6)] = 250e6
