@@ -182,7 +182,7 @@ class ZenohLink:
         if connected != self._connected or not connected:
             self._set_state(connected=connected, error="" if connected else self._no_connection())
         declared.present(self._present)
-        if self._due and connected:
+        if self._due and connected and self._present:
             # Before the payload is read: one that is put meanwhile is due again.
             self._due = False
             payload = self._newest
