@@ -85,8 +85,8 @@ class FleetReporter(Reporter):
         self._link.close(self._status(fleet_status.POWEROFF))
 
     def hand_over(self) -> None:
-        """End the session without POWEROFF; the next reporter opens its own."""
-        self._link.close()
+        """Publish BOOT, so that readers do not take the end of the token for a failure; the next reporter opens its own session."""
+        self._link.close(self._status(fleet_status.STATES[status_word.BOOT]))
 
     def problem(self) -> str:
         fact = self._link.fact()

@@ -158,6 +158,15 @@ def test_an_intended_shutdown_is_published() -> None:
     assert bench.link.last["state"] == "POWEROFF"
 
 
+def test_a_reload_is_published() -> None:
+    """The last status is BOOT: the token is missing until the next reporter is connected, and nothing is wrong."""
+    bench = Bench()
+    bench.fleet.handle(Report(at(), 1, at(), (HEALTHY,)))
+    assert bench.last["state"] == "ACTIVE"
+    bench.fleet.hand_over()
+    assert bench.link.last["state"] == "BOOT"
+
+
 def test_only_a_long_disconnection_is_a_problem() -> None:
     """Two deadlines without the fleet, or another PHM of the same name, are reported in slot 1."""
     bench = Bench()
