@@ -63,10 +63,6 @@ class DockerEngine(DockerFiles):
 
     # ------------------------------------------------------------ asking
 
-    def ping(self) -> None:
-        """Return when the engine responds."""
-        self.call(lambda client: client.ping(), what="ping")
-
     def version(self) -> Answer:
         """GET /version: Version, ApiVersion, MinAPIVersion, ..."""
         return self._ask(lambda client: client.version(api_version=False), None, "read its version")

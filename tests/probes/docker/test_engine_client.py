@@ -115,7 +115,6 @@ def test_each_failure_of_the_engine_has_a_kind_and_a_text(
     """Every failure is one of a few exceptions, so a caller needs no knowledge of HTTP libraries."""
     fake.containers["app"] = container("app")
     ask.version()
-    ask.ping()
     fake.fault = fault
     with pytest.raises(kind, match=words):
         ask.inspect("app", deadline_s=LONG_S)
@@ -135,7 +134,7 @@ def test_a_refusal_is_not_permitted_and_everything_is_cannot_tell() -> None:
 def test_a_missing_socket_names_its_path(tmp_path: Path) -> None:
     """Without a socket the error has the path that was tried."""
     with pytest.raises(EngineNotConnected, match=r"there is no .*/none\.sock"):
-        DockerEngine(f"unix://{tmp_path}/none.sock").ping()
+        DockerEngine(f"unix://{tmp_path}/none.sock").version()
 
 
 def test_a_socket_without_a_server_has_its_own_error(tmp_path: Path) -> None:
@@ -144,7 +143,7 @@ def test_a_socket_without_a_server_has_its_own_error(tmp_path: Path) -> None:
     left.bind(str(tmp_path / "left.sock"))
     left.close()
     with pytest.raises(EngineNotConnected, match="no Docker Engine listens") as refused:
-        DockerEngine(f"unix://{tmp_path}/left.sock").ping()
+        DockerEngine(f"unix://{tmp_path}/left.sock").version()
     # A bind mount keeps the old file when the engine creates its socket again.
     assert str(refused.value).endswith("if it runs, its socket was created again: restart PHM's container")
 
@@ -158,7 +157,7 @@ def test_a_forbidden_socket_names_the_required_group(monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr("phm.transport.docker_http._Socket", Forbidden)
     with pytest.raises(EngineNotConnected, match="add the docker group with group_add") as refused:
-        DockerEngine(f"unix://{tmp_path}/engine.sock").ping()
+        DockerEngine(f"unix://{tmp_path}/engine.sock").version()
     assert isinstance(refused.value, NoAccess)
 
 
@@ -167,9 +166,9 @@ def test_a_tcp_engine_without_a_server_is_unreachable() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
         with pytest.raises(EngineTimeout):
-            DockerEngine(f"tcp://127.0.0.1:{port}", timeout_s=0.3).ping()
+            DockerEngine(f"tcp://127.0.0.1:{port}", timeout_s=0.3).version()
     with pytest.raises(EngineNotConnected, match=f"127.0.0.1:{port}"):
-        DockerEngine(f"tcp://127.0.0.1:{port}", timeout_s=LONG_S).ping()
+        DockerEngine(f"tcp://127.0.0.1:{port}", timeout_s=LONG_S).version()
 
 
 def test_creating_the_client_sends_no_request(fake: FakeEngine) -> None:
@@ -198,7 +197,7 @@ def test_a_proxy_that_hides_the_version_is_supported(fake: FakeEngine, ask: Dock
 def test_a_restart_may_take_its_stop_timeout(fake: FakeEngine, ask: DockerEngine) -> None:
     """The deadline of a restart is longer than the stop timeout of the container."""
     fake.containers["app"] = container("app")
-    ask.ping()
+    ask.version()
     ask.timeout_s = HUNG_S
     fake.fault = Trickle(every_s=0.1, endless=False, route="/restart")  # an answer that takes longer than that
     before = fake.containers["app"]["State"]["StartedAt"]
@@ -266,7 +265,7 @@ def test_a_dropped_event_stream_ends_the_iteration(fake: FakeEngine, ask: Docker
 
 def test_opening_a_hung_event_stream_fails_at_the_deadline(fake: FakeEngine, ask: DockerEngine) -> None:
     """It has the deadline of a request."""
-    ask.ping()
+    ask.version()
     fake.fault, ask.timeout_s = Hang(route="/events"), HUNG_S
     with pytest.raises(EngineTimeout):
         ask.events()
@@ -280,7 +279,7 @@ def test_close_aborts_open_requests_and_rejects_new_ones(fake: FakeEngine) -> No
 
     def hang() -> None:
         try:
-            engine.ping()
+            engine.version()
         except CannotTell as error:
             caught.append(error)
 
@@ -291,7 +290,7 @@ def test_close_aborts_open_requests_and_rejects_new_ones(fake: FakeEngine) -> No
     thread.join(60)
     assert len(caught) == 1
     with pytest.raises(EngineNotConnected, match="closing"):
-        engine.ping()
+        engine.version()
 
 
 def test_a_socket_is_closed_at_its_deadline_and_not_before() -> None:
