@@ -1,9 +1,10 @@
-"""The limit of the history's file: it holds during a flood, and no more of the older entries is deleted than is necessary."""
+"""The limits of the history: its file's holds during a flood, and no more of the older entries is deleted than is necessary."""
 
 from __future__ import annotations
 
 import sqlite3
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -58,4 +59,20 @@ def test_no_more_is_deleted_than_is_necessary(tmp_path: Path, monkeypatch: pytes
     store.start()
     until(lambda: store.flush(0.1) and size(path) <= LIMIT, "the limit", lambda: size(path))
     assert count(path, "A01") > 1500
+    store.close()
+
+
+def test_what_was_written_survives_a_power_cut(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each commit is synced: in WAL mode, SQLite does so with FULL (2) only."""
+    opened = list[sqlite3.Connection]()
+
+    def connect(*given: Any, real: Any = sqlite3.connect, **more: Any) -> sqlite3.Connection:
+        opened.append(real(*given, **more, check_same_thread=False))
+        return opened[-1]
+
+    monkeypatch.setattr(sqlite3, "connect", connect)
+    store = HistoryStore(tmp_path / "history.db", SystemClock())
+    store.start()
+    assert store.flush(120)
+    assert opened[0].execute("PRAGMA synchronous").fetchone() == (2,)
     store.close()
