@@ -115,7 +115,7 @@ class FaultList:
                 self._quiet.extend((utc_s, one) for one in over)
                 return over
             case "restart":
-                return self._close(self._of(who), utc_s, "its PHM has restarted")
+                return self._close(self._of(who), utc_s, "its PHM has restarted or reloaded")
         return []
 
     def _line(self, who: str, line: ParsedLine, utc_s: float) -> list[FaultEntry]:
