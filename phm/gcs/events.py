@@ -121,7 +121,7 @@ _WORDS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
     "link": _link,
     "digest": _digest,
     "agent": lambda body: f"{_name(body)} discovered, {body['system']}/{body['component']} on {body['link']}",
-    "restart": lambda body: f"{_name(body)} PHM restarted",
+    "restart": lambda body: f"{_name(body)} PHM restarted or reloaded",
     "detail": lambda body: f"{_name(body)} fault {body['fault']}: {body['text']}",
     "ack": lambda body: f"{_name(body)} {_result(body)}",
     "problem": lambda body: f"problem: {body['text']}",

@@ -33,7 +33,9 @@ GAPS = _counter(
     "agent",
     "presence",
 )
-RESTARTS = _counter("phm_gcs_agent_restarts_total", "Restarts of an agent's PHM that the ground saw", "agent")
+RESTARTS = _counter(
+    "phm_gcs_agent_restarts_total", "Restarts and reloads of an agent's PHM that the ground saw", "agent"
+)
 AUTOPILOT_AGE = _gauge(
     "phm_gcs_autopilot_age_seconds", "Seconds since the last heartbeat of an agent's autopilot", "agent"
 )

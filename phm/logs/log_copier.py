@@ -17,8 +17,6 @@ BASES = (RECORD, "phm.log")
 MOST_FILE_BYTES = 2_000_000_000
 MOST_BYTES = 20_000_000_000
 """Maximum number of bytes of one log that are copied in one run."""
-MOST_FAILURES = 3
-"""After this many files that could not be copied, the rest of a source is left out."""
 _TRIES = 5
 _HOLE = 2
 """Numbers without a file that end a log: within a rotation one name is free for a moment."""
@@ -33,7 +31,7 @@ class _CannotWrite(CannotTell):
 
 
 class _GivenUp(Exception):
-    """So many copies failed that the rest is given up."""
+    """The source no longer answers: the rest is given up."""
 
 
 @dataclass(frozen=True)
@@ -217,8 +215,6 @@ class _Fetch:
         self._failed[one.name] = why
         if key:
             self._order = merged([key], self._order)
-        if len(self._failed) >= MOST_FAILURES:
-            raise _GivenUp
         try:
             self._source.inspect(self._base)
         except CannotTell as error:

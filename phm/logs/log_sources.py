@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from phm.facts import CannotTell
-from phm.logs.log_copier import BASES, MOST_FAILURES, Gone, Seen
+from phm.logs.log_copier import BASES, Gone, Seen
 from phm.transport.docker import DockerEngine, EngineMissing
 
 LABEL = "phm.logs"
@@ -20,6 +20,8 @@ ANSWER_S = 10.0
 SLOWEST_BYTES_S = 100_000.0
 """A copy has ANSWER_S, and the time that it takes at this rate."""
 MOST_CONTAINERS = 1000
+MOST_FAILURES = 3
+"""After this many containers that could not be looked into, the rest of an engine is left out."""
 MOST_DEPTH = 6
 MOST_FOLDERS = 1000
 OF_ROOT = "lost+found"

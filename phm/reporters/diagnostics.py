@@ -7,6 +7,7 @@ published, so subscribers see the statuses become stale.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from typing import Any
 
@@ -27,6 +28,8 @@ from phm.reporters.open_faults import OpenFaults
 from phm.wire import status_word
 from phm.wire.report import NOT_APPLICABLE, array_text, iso, status_array, values_json
 from phm.wire.text import one_line
+
+logger = logging.getLogger(__name__)
 
 ALONG_S = 0.1
 """Changes within this time of the last array wait for the next tick, so that a burst costs one array."""
@@ -54,6 +57,11 @@ class DiagnosticsReporter(Reporter):
         """The last status of each unit, with what it was made of: most units do not change from one array to the next."""
         self._sent_at = float("-inf")
         self._not_taken = 0
+        count = len(context.states())
+        if count > MAX_UNITS:
+            logger.warning(
+                "%d of %d units are not on /diagnostics: it has at most %d", count - MAX_UNITS, count, MAX_UNITS
+            )
 
     @classmethod
     def build(cls, context: ReporterContext) -> DiagnosticsReporter | None:

@@ -87,6 +87,8 @@ class _Shown:
 
     agent: AgentRecord
     units: dict[str, Status] = field(default_factory=dict)
+    words: dict[str, str] = field(default_factory=dict)
+    """The level of each unit; its status does not say whether there was nothing to evaluate."""
     level: str = "STALE"
     runs: bool = False
 
@@ -98,8 +100,8 @@ class _Shown:
         if what in ("runs", "stops"):
             self.runs = what == "runs"
             return self.all()
-        unit, status = body
-        self.units[unit] = status
+        unit, word, status = body
+        self.units[unit], self.words[unit] = status, word if word in LEVELS else "STALE"
         return [status, self.summary()] if self.runs else []
 
     def all(self) -> list[Status]:
@@ -109,11 +111,13 @@ class _Shown:
         return [self.summary(), *units]
 
     def summary(self) -> Status:
-        name, count = self.agent.name, Counter(status.level for status in self.units.values())
+        name, count = self.agent.name, Counter(self.words.values())
         values = [("agent_id", str(self.agent.id))]
-        values += [(word.lower(), str(count[LEVELS[word]])) for word in ("OK", "WARN", "ERROR", "STALE")]
-        worst = next((word for word in levels.RANK if count[LEVELS[word]]), self.level)
-        text = f"{count[0]} of {count.total()} units are OK" if self.units else f"{worst}, as the ground received it"
+        values += [(word.lower(), str(count[word])) for word in ("OK", "WARN", "ERROR", "STALE")]
+        not_applicable = count.pop(NOT_APPLICABLE, 0)
+        values.append(("not_applicable", str(not_applicable)))
+        worst = next((word for word in levels.RANK if count[word]), "OK" if self.units else self.level)
+        text = f"{count['OK']} of {count.total()} units are OK" if self.units else f"{worst}, as the ground received it"
         if not self.runs:
             worst, text = "STALE", STOPPED if self.agent.runs else "nothing received yet"
         return Status(LEVELS[worst], f"phm/{name}: summary", text, name, tuple(values))
@@ -125,13 +129,14 @@ def _events(record: Record, agent: AgentRecord) -> Iterator[tuple[float, str, An
     for run, clock in agent.runs:
         for unit, body in run.units.items():
             facts.setdefault(unit, body)
-            yield clock.t(body["at"]), "unit", (unit, _status(agent, unit, body, body["level"], body["summary"]))
+            status = _status(agent, unit, body, body["level"], body["summary"])
+            yield clock.t(body["at"]), "unit", (unit, body["level"], status)
     for change, clock in ((change, clock) for run, clock in agent.runs for change in run.levels()):
         more = {"condition": change.condition, "blocked_by": change.blocked_by, "fault": change.fault}
         values = {**more, **change.values}
         body = facts.get(change.unit, {})
         status = _status(agent, change.unit, body, change.level, change.summary, values)
-        yield clock.t(change.mono), "unit", (change.unit, status)
+        yield clock.t(change.mono), "unit", (change.unit, change.level, status)
     for begin, end in agent.cover:
         yield begin, "runs", None
         yield end, "stops", None

@@ -6,6 +6,7 @@ import gzip
 import io
 import json
 import os
+import shutil
 import sys
 import tarfile
 from pathlib import Path
@@ -133,6 +134,29 @@ def test_a_copy_that_fails_costs_only_that_file(
     monkeypatch.setattr(log_sources, "ANSWER_S", ANSWER_S)
     assert collect(out, engine=engine).exit_code == 0
     assert texts(out / "agent_1") == list(range(1, agent.count + 1))
+
+
+def test_files_behind_many_that_cannot_be_read_are_fetched(
+    tmp_path: Path, agent: Agent, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each of those is listed."""
+    for _ in range(2):
+        agent.rotate()
+    old = agent.folder / "phm.jsonl.2.gz"
+    expected = sorted(path.name for path in agent.folder.glob("phm.jsonl*"))
+    shutil.copy(old, agent.folder / "phm.jsonl.3.gz")
+    real = os.open
+
+    def opened(path: Any, *given: Any, **more: Any) -> int:
+        if Path(path).parent == agent.folder and Path(path).name in expected:
+            raise PermissionError(13, "Permission denied", path)
+        return real(path, *given, **more)
+
+    monkeypatch.setattr("os.open", opened)
+    result = collect(tmp_path / "out", tmp_path / "in")
+    assert result.exit_code == 1 and len(expected) == 3, result.output
+    assert all(f"{name}: Permission denied" in result.output for name in expected), result.output
+    assert len(texts(tmp_path / "out" / "agent_1")) > 0
 
 
 def test_the_beginning_of_a_torn_copy_is_kept(tmp_path: Path, engine: FakeEngine) -> None:

@@ -8,6 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 import phm
 from phm.core.model import ActionEvent, Layer, Level, Outcome, Phase, Slot, UnitState
 from phm.core.settings import Settings
@@ -190,12 +192,16 @@ def test_close_publishes_the_end() -> None:
     assert set(port.sent[-1]) == {SUMMARY, CONTAINER, NODE}
 
 
-def test_the_size_of_an_array_is_limited() -> None:
-    """Units, texts and values: an array must fit through the pipe."""
+def test_the_size_of_an_array_is_limited(caplog: pytest.LogCaptureFixture) -> None:
+    """Units, texts and values: an array must fit through the pipe. What is left out is logged once."""
     long = unit("x/y", Slot.HOST, Level.WARN, "a\n" * 500, values={f"v{n}": "b" * 999 for n in range(99)})
     states = (long, *(unit(f"x/{n}", Slot.HOST) for n in range(2 * MAX_UNITS)))
     reporter, port = make(states)
     reporter.tick()
+    reporter.tick()
+    assert caplog.messages == [
+        f"{MAX_UNITS + 1} of {2 * MAX_UNITS + 1} units are not on /diagnostics: it has at most 500"
+    ]
     fact = port.sent[-1]["phm/agent_1/ros: x/y"]
     assert len(port.sent[-1]) == MAX_UNITS + 1
     assert len(fact.message) == MAX_MESSAGE and fact.message.isprintable()

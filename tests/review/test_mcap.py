@@ -15,7 +15,9 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from phm.cli import group
+from phm.core.model import Slot
 from phm.review import cdr
+from tests.fakes.records import unit
 from tests.review.records import T0, Flown, Ground
 from tests.review.test_document import one_flight
 
@@ -115,6 +117,19 @@ def test_no_status_is_old_enough_to_be_shown_as_stale(tmp_path: Path) -> None:
     assert stamps
     for name, times in stamps.items():
         assert max(later - t for t, later in pairwise(times)) < 5.0, name
+
+
+def test_the_summary_does_not_count_units_with_nothing_to_evaluate(tmp_path: Path) -> None:
+    """As on the live topic."""
+    made = Flown(tmp_path)
+    made.states["rates/topic_2"] = unit("rates/topic_2", Slot.RATES, bypass=True)
+    made.until(60)
+    made.close()
+    arrays = [found for _, _, found in with_rosbags(export(tmp_path)) if "phm/agent_1/ros: rates/topic_2" in found]
+    summaries = [found["phm/agent_1: summary"] for found in arrays]
+    assert {summary.message for summary in summaries} == {"3 of 3 units are OK", "PHM does not run"}
+    keys = {pair.key: pair.value for pair in summaries[0].values}
+    assert (keys["ok"], keys["not_applicable"]) == ("3", "1")
 
 
 def test_a_flight_begins_with_all_units(tmp_path: Path) -> None:

@@ -25,7 +25,6 @@ _SINCE = re.compile(r"since ([0-9]{2}):([0-9]{2}):([0-9]{2}) UTC")
 _ENDED = re.compile(r"(?:cleared|recovered): |\S+ recovered$")
 _VALUE = re.compile(r"(?<!\S)[0-9.]+ ?(?=(?:%|ms|s|Hz|kB|MB|GB|C|V)(?!\S))")
 """A measured value: it is followed by its unit. Other numbers name something."""
-_BAD = ("WARN", "ERROR")
 DAY_S = 86_400.0
 
 
@@ -111,12 +110,12 @@ class FaultList:
             case "detail":
                 return self._detail(who, str(line["fault"]), str(line["text"]), utc_s)
             case "slots":
-                healthy = [int(slot) for slot, (_, new) in dict(line["changed"]).items() if new not in _BAD]
+                healthy = [int(slot) for slot, (_, new) in dict(line["changed"]).items() if new == "OK"]
                 over = self._close([one for one in self._of(who) if one.slot in healthy], utc_s, BY_HEARTBEAT)
                 self._quiet.extend((utc_s, one) for one in over)
                 return over
             case "restart":
-                return self._close(self._of(who), utc_s, "its PHM has restarted")
+                return self._close(self._of(who), utc_s, "its PHM has restarted or reloaded")
         return []
 
     def _line(self, who: str, line: ParsedLine, utc_s: float) -> list[FaultEntry]:

@@ -14,7 +14,7 @@ from typing import Any
 
 from phm.gcs.samples import TOPIC
 from phm.gcs.web.events import GRADES
-from phm.gcs.web.history.faults import FaultEntry, as_of, from_json
+from phm.gcs.web.history.faults import MAX_OPEN, FaultEntry, as_of, from_json
 from phm.gcs.web.history.store import APPLICATION
 
 Json = dict[str, Any]
@@ -108,10 +108,11 @@ class HistoryReader:
 
     def faults(self, who: str, *, since: float = 0.0, until: float = math.inf) -> Json:
         """Faults as they were known at `until`, without those that had ended by `since`, newest first. UTC seconds."""
+        limit = MAX_FAULTS if since < until else MAX_OPEN
         with self._open() as connection:
             rows = connection.execute(
                 "SELECT body FROM fault WHERE (? = '' OR who = ?) AND at <= ? AND (open = 1 OR changed > ?) ORDER BY at DESC LIMIT ?",
-                (who, who, until, since, MAX_FAULTS),
+                (who, who, until, since, limit),
             ).fetchall()
         found = [body for (text,) in rows for body in _bodies(text)]
         if until != math.inf:

@@ -44,6 +44,7 @@ class StatusRecorder:
         with contextlib.suppress(HistoryError):
             self._ended.update((str(body.get("key")), None) for body in reader.faults("")["faults"] if not body["open"])
         self._who = self._boot = ""
+        self._started: object = None
         self._healthy: bool | None = None
         self._armed: bool | None = None
         self._units: dict[str, str] = {}
@@ -94,9 +95,12 @@ class StatusRecorder:
     ) -> Iterator[Json]:
         before, self._healthy = self._healthy, healthy
         boot = str(document.get("boot_id", "")) if healthy else self._boot
-        restarted = bool(self._boot) and boot != self._boot
-        self._boot = boot
-        if restarted:
+        started = document.get("health", {}).get("started_utc") if healthy else self._started
+        another, same_start = bool(self._boot) and boot != self._boot, started is not None and started == self._started
+        self._boot, self._started = boot, started
+        if another and same_start:
+            yield self._event("reload", "info", f"{self._who} PHM has reloaded its configuration", at)
+        elif another:
             yield self._event("restart", "warn", f"{self._who} PHM has restarted", at)
         elif before is False and healthy:
             yield self._event("presence", "ok", f"{self._who} PHM works again", at, presence="alive")

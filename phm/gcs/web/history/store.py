@@ -198,7 +198,7 @@ class HistoryStore:
             _check_owner(connection)
             connection.execute("PRAGMA auto_vacuum = INCREMENTAL")
             connection.execute("PRAGMA journal_mode = WAL")
-            connection.execute("PRAGMA synchronous = NORMAL")
+            connection.execute("PRAGMA synchronous = FULL")  # NORMAL syncs at checkpoints only
             connection.executescript(_SCHEMA)
         except BaseException:
             connection.close()

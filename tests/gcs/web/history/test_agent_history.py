@@ -223,8 +223,8 @@ def recorded() -> Iterator[Recorded]:
 
 
 def test_what_changes_is_an_event(recorded: Recorded) -> None:
-    """Warnings, holds, a lost PHM and its restart; what was so when the page started is none."""
-    quiet = {"faults": {"open": [], "given_up": [], "closed": []}, "holds": []}
+    """Warnings, holds, a lost PHM, its reload and its restart; what was so when the page started is none."""
+    quiet = {"faults": {"open": [], "given_up": [], "closed": []}, "holds": [], "health": {"started_utc": 4.0}}
     checks = document()["checks"]
     warned = [{**one, "level": "WARN", "summary": "hot"} if one["id"] == "host/cpu" else one for one in checks]
     held = {"container": "ros_app", "until": "", "left_s": 60.0, "by": "operator", "reason": "landing gear"}
@@ -236,7 +236,9 @@ def test_what_changes_is_an_event(recorded: Recorded) -> None:
     assert recorded.take({}, "there is no status") == ["A07 is lost: there is no status"]
     assert recorded.take({}, "there is no status") == []
     assert recorded.take(document(**quiet)) == ["A07 PHM works again"]
-    assert recorded.take(document(**quiet, boot_id="another")) == ["A07 PHM has restarted"]
+    assert recorded.take(document(**quiet, boot_id="another")) == ["A07 PHM has reloaded its configuration"]
+    later = {**quiet, "health": {"started_utc": 5.0}}
+    assert recorded.take(document(**later, boot_id="third")) == ["A07 PHM has restarted"]
 
 
 def test_a_fault_that_recovery_gave_up_on_stays_open_until_it_is_no_longer_bad(recorded: Recorded) -> None:

@@ -88,3 +88,12 @@ def test_a_measured_value_that_changes_is_one_fault(book: Book) -> None:
     assert book.open() == ["disk / 94 %", "camera 1 dead", "camera 2 dead"]
     book.take("A07 OK 9 cleared: disk / 94 %")
     assert book.open() == ["camera 1 dead", "camera 2 dead"]
+
+
+def test_only_a_heartbeat_with_ok_ends_a_fault(book: Book) -> None:
+    """A slot that is unknown, as on hold, says nothing about its faults."""
+    book.take("A07 FAIL 6 planner dead")
+    book.take("", event="slots", changed={"6": ["ERROR", "STALE"]})
+    assert (book.open(), book.steps("planner dead")) == (["planner dead"], ["confirmed"])
+    book.take("", event="slots", changed={"6": ["STALE", "OK"]})
+    assert (book.open(), book.steps("planner dead")) == ([], ["confirmed", "recovered"])

@@ -1,14 +1,18 @@
-"""The limit of the history's file: it holds during a flood, and no more of the older entries is deleted than is necessary."""
+"""The limits of the history: its file's holds during a flood, and no more of the older entries is deleted than is necessary."""
 
 from __future__ import annotations
 
+import json
 import sqlite3
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from phm.core.clock import SystemClock
-from phm.gcs.web.history.store import EVENT, HistoryRow, HistorySample, HistoryStore
+from phm.gcs.web.history.faults import FaultEntry
+from phm.gcs.web.history.reader import MAX_FAULTS, HistoryReader
+from phm.gcs.web.history.store import EVENT, FAULT, HistoryRow, HistorySample, HistoryStore
 from tests.fakes.until import until
 
 LIMIT = 1_000_000
@@ -58,4 +62,34 @@ def test_no_more_is_deleted_than_is_necessary(tmp_path: Path, monkeypatch: pytes
     store.start()
     until(lambda: store.flush(0.1) and size(path) <= LIMIT, "the limit", lambda: size(path))
     assert count(path, "A01") > 1500
+    store.close()
+
+
+def test_all_open_faults_are_known_after_a_start(tmp_path: Path) -> None:
+    """The ground ends only those that it knows; lists of faults are shorter."""
+    path, clock = tmp_path / "history.db", SystemClock()
+    store, reader, now = HistoryStore(path, clock), HistoryReader(path), clock.utc()
+    store.start()
+    for number in range(MAX_FAULTS + 1):
+        fault = FaultEntry(f"A07 {number}", "A07", 6, f"node_{number} dead", "ERROR", now + number)
+        store.put(HistoryRow(FAULT, (fault.key, fault.who, fault.at, fault.at, 1, json.dumps(fault.json()))))
+    assert store.flush(120)
+    assert [fault.key for fault in reader.open_faults()] == [f"A07 {number}" for number in range(MAX_FAULTS + 1)]
+    assert len(reader.faults("A07")["faults"]) == MAX_FAULTS
+    store.close()
+
+
+def test_what_was_written_survives_a_power_cut(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each commit is synced: in WAL mode, SQLite does so with FULL (2) only."""
+    opened = list[sqlite3.Connection]()
+
+    def connect(*given: Any, real: Any = sqlite3.connect, **more: Any) -> sqlite3.Connection:
+        opened.append(real(*given, **more, check_same_thread=False))
+        return opened[-1]
+
+    monkeypatch.setattr(sqlite3, "connect", connect)
+    store = HistoryStore(tmp_path / "history.db", SystemClock())
+    store.start()
+    assert store.flush(120)
+    assert opened[0].execute("PRAGMA synchronous").fetchone() == (2,)
     store.close()

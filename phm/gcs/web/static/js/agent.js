@@ -88,7 +88,7 @@ function show() {
   const [, autopilot] = autopilotWords(agent.autopilot);
   render(parts.facts, [agent.presence, autopilot, agent.link, agent.restarts, agent.on_hold, agent.period_s, agent.autopilot?.mode], () =>
     [PRESENCE[agent.presence] ?? agent.presence, `autopilot ${autopilot}`, agent.link ? `link ${agent.link}` : "",
-      agent.period_s ? `a heartbeat each ${agent.period_s} s` : "", agent.restarts ? `PHM restarted ${agent.restarts} times` : "",
+      agent.period_s ? `a heartbeat each ${agent.period_s} s` : "", agent.restarts ? `PHM restarted or reloaded ${agent.restarts} times` : "",
       agent.on_hold ? "on hold" : ""].filter(Boolean).map((text) => el("span", { class: "fact" }, said(text))));
   showAlarm(agent);
   render(parts.path, agent.hops, () => path(agent.hops ?? []));
