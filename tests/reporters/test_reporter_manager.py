@@ -66,7 +66,13 @@ def test_a_failing_reporter_does_not_affect_the_others(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Not loaded, not built, not enabled, not closed: the others are built, get events, are queried and closed."""
-    kinds = {"a_broken": Unbuildable, "a_leaving": Leaving, "b_unwanted": Unwanted, "c_stuck": Unclosable, "plain": Plain}
+    kinds = {
+        "a_broken": Unbuildable,
+        "a_leaving": Leaving,
+        "b_unwanted": Unwanted,
+        "c_stuck": Unclosable,
+        "plain": Plain,
+    }
     found = [Plugin(name, "test 1.0", kind) for name, kind in kinds.items()]
     monkeypatch.setattr(registry, "find", lambda group, base: [Plugin("x", "test 1.0", None, "no module"), *found])
     bus = Bus(SystemClock())
