@@ -203,7 +203,7 @@ def _print(sentences: list[str], shown: list[Table]) -> None:
 
     target = terminal.console()
     for sentence in sentences:
-        target.print(Text(sentence))
+        target.print(Text(one_line(sentence)))
     for title, head, rows in shown:
         made = table.Table(*head, title=title, title_justify="left", box=None, pad_edge=False)
         for row in rows:

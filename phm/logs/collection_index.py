@@ -39,15 +39,19 @@ class Index:
             found = {}
         sources, agents, marks = (_object(_object(found).get(name)) for name in ("sources", "agents", "marks"))
         known = {name: agent for name, value in agents.items() if (agent := _agent(value)) is not None}
+        usable = {value for value in known if file_name(value) == value and not (path.parent / value).is_symlink()}
         return cls(
-            {name: value for name, value in _texts(sources).items() if file_name(value) == value and value in known},
+            {name: value for name, value in _texts(sources).items() if value in usable},
             known,
             {name: _texts(_object(value)) for name, value in marks.items()},
         )
 
     def write(self, path: Path) -> None:
+        """Through no link: the folder may come from someone else, with a link under the name of the new file."""
         made = path.with_suffix(".tmp")
-        made.write_text(json.dumps(asdict(self), separators=(",", ":")), "utf-8")
+        made.unlink(missing_ok=True)
+        with made.open("x", encoding="utf-8") as stream:
+            json.dump(asdict(self), stream, separators=(",", ":"))
         os.replace(made, path)
 
 

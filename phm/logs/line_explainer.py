@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from shlex import quote
 from typing import Any
 
 from phm.core.duplicate_filter import DuplicateFilter
@@ -108,7 +109,7 @@ def _was(event: Json) -> str:
 
 def _details(event: Json, options: str) -> Iterator[tuple[str, str]]:
     name, fault = event.get("event"), _text(event, "fault")
-    timeline = f"phm faults {fault}{options}" if fault else ""
+    timeline = f"phm faults {quote(fault)}{options}" if fault else ""  # to be copied, from a file of anyone
     if name in ("transition", "unit"):
         blocker = _text(event, "blocked_by")
         cause = f"blocked by {blocker}" if blocker else _condition(event)
@@ -127,8 +128,8 @@ def _details(event: Json, options: str) -> Iterator[tuple[str, str]]:
     elif name == "action":
         phase = _text(event, "phase")
         yield "means", _MEANING.get(phase, "")
-        where = f" (on {_text(event, 'agent')})" if options else ""
-        yield "remedy", f"phm approve {fault}{where}" if phase == "advised" and fault else ""
+        where = f" (on {quote(_text(event, 'agent'))})" if options else ""
+        yield "remedy", f"phm approve {quote(fault)}{where}" if phase == "advised" and fault else ""
         yield "see", timeline if phase in ("failed", "escalated") else ""
 
 

@@ -113,7 +113,9 @@ class Collection:
         return folder
 
     def _fits(self, folder: str, source: str, agent: Agent, keys: set[str]) -> bool:
-        """Whether the logs of this source may be put there."""
+        """Whether the logs of this source may be put there. Not through a link: the folder may come from someone else."""
+        if (self.folder / folder).is_symlink():
+            return False
         if self._index.agents.get(folder, agent) != agent:
             return False
         if self._claimed.get(folder, source) == source:

@@ -25,6 +25,8 @@ from phm.wire.manifest import MAX_FILES
 MAX_DEPTH = 64
 MAX_ENTRIES = 2 * MAX_FILES
 """Names that are read in one walk, with those that are ignored: all of a folder are in memory together."""
+MAX_PATHS = 8 << 20
+"""Characters of the relative paths of all files together, which stay in memory: 160 for each of MAX_FILES."""
 SCAN_BYTES = 64 << 20
 """Read in one scan; the rest of a large folder follows in the next scans."""
 SCAN_S = 1.5
@@ -153,7 +155,7 @@ class _Walk:
         self._clock, self._ignore, self._mounts = clock, tuple(ignore), mounts
         self._known, self._parts, self._partly = known, parts, partly
         self._began_s = clock.mono()
-        self._entries, self._bytes = 0, 0
+        self._entries, self._path_chars, self._bytes = 0, 0, 0
         self._changed: set[str] = set()
         self.waiting = tuple(waiting)
         self.found: dict[str, tuple[Stamp, str]] = {}
@@ -173,6 +175,11 @@ class _Walk:
         for name in self._names(number):
             self._in_time()
             below = f"{path}/{name}" if path else name
+            self._path_chars += len(below)
+            if self._path_chars > MAX_PATHS:
+                raise CannotTell(
+                    "the names of its files and folders are too long: choose a folder below it, or add `ignore`"
+                )
             if any(fnmatchcase(name, pattern) or fnmatchcase(below, pattern) for pattern in self._ignore):
                 continue
             try:

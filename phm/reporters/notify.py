@@ -128,7 +128,9 @@ def send_to_urls(alert: Alert, urls: Sequence[str]) -> str:
     refused = [number for number, url in enumerate(urls) if not target.add(url)]
     if refused:
         return f"notify.urls[{refused[0]}] is not a URL that Apprise knows"
-    sent = target.notify(title=alert["title"], body=alert["body"], notify_type=alert["type"])
+    # Else e-mail and Telegram take the text for HTML, and it contains names and outputs from outside.
+    plain = apprise.NotifyFormat.TEXT
+    sent = target.notify(title=alert["title"], body=alert["body"], notify_type=alert["type"], body_format=plain)
     return "" if sent else "an alert could not be sent to all of notify.urls: address, network or password"
 
 

@@ -59,6 +59,8 @@ class StatusTextBuilder:
         """approval_s: how long an approval is valid."""
         self._agent, self._approval_s = agent, approval_s
         self._sent: dict[str, tuple[UnitState, str]] = {}
+        self._again: set[str] = set()
+        """Units whose failure is sent again, also with the same text: it is another one, or was on hold meanwhile."""
         self._open: set[str] = set()
         self._asks: dict[str, StatusTextLine] = {}
         """By unit, the request to the operator that is not answered."""
@@ -76,13 +78,14 @@ class StatusTextBuilder:
         if state.level is Level.OK and state.unit not in self._open:
             return self._over(state.unit, "")
         if state.result.condition == ON_HOLD:
-            self._sent.pop(state.unit, None)  # if it still fails after the hold, that is sent again
+            self._again.add(state.unit)
         return []  # STALE is not reported; OK with an open fault is reported with the end of the fault, and by what it ended
 
     def fault(self, event: FaultOpened | FaultClosed) -> list[StatusTextLine]:
         fault = event.fault
         if isinstance(event, FaultOpened):
             self._open.add(fault.unit)
+            self._again.add(fault.unit)  # the line follows with the transition
             return []
         self._open.discard(fault.unit)
         if fault.outcome is not Outcome.ESCALATED:
@@ -166,13 +169,15 @@ class StatusTextBuilder:
         text = status_line.failing(self._agent, state.level, state.slot, status_line.brief_of(state))
         sent = self._sent.get(state.unit)
         self._sent[state.unit] = (state, text)
-        if sent is not None and sent[1] == text:
+        if sent is not None and sent[1] == text and state.unit not in self._again:
             return []
+        self._again.discard(state.unit)
         severity = status_line.severity(state.level, state.slot)
         return [StatusTextLine(state.unit, severity, text, only_while=(while_bad(state.unit),))]
 
     def _over(self, unit: str, by: str) -> list[StatusTextLine]:
         self._asks.pop(unit, None)
+        self._again.discard(unit)
         sent = self._sent.pop(unit, None)
         if sent is None:
             return []

@@ -85,6 +85,10 @@ class Event(msgspec.Struct, gc=False):
     repeat: bool = False
 
 
+LONG_LINE, MOST_TEXT = 8000, 1000
+"""Bytes of a line, characters of a text. PHM writes no longer line of an event with long texts, so a longer one is from anyone."""
+_TEXTS = tuple(name for name, kind in Event.__annotations__.items() if kind.startswith(("str", "Any")))
+_LISTS = tuple(name for name, kind in Event.__annotations__.items() if kind == "list[str]")
 _DECODER = msgspec.json.Decoder(Event)
 _LOOSE = msgspec.json.Decoder(dict[str, Any])
 UNREADABLE = (msgspec.DecodeError, RecursionError, UnicodeDecodeError, ValueError)
@@ -100,6 +104,8 @@ def parse(line: bytes) -> tuple[Event | None, str]:
         return None, "not JSON, incomplete or nested too deeply"
     if not (0.0 <= event.mono < LATEST_S and 0.0 < event.utc_s < LATEST_S):
         return None, "no possible time"
+    if len(line) > LONG_LINE:
+        _cut(event)
     return event, wrong
 
 
@@ -122,7 +128,20 @@ def _without_wrong_types(line: bytes) -> tuple[Event | None, str]:
         return None, "without the key event"
     if not (0.0 <= event.mono < LATEST_S and 0.0 < event.utc_s < LATEST_S):
         return None, "no possible time"
+    _cut(event)
     return event, "a key of the wrong type, which was left out"
+
+
+def _cut(event: Event) -> None:
+    """Thousands of texts of a megabyte each would be kept otherwise."""
+    for name in _TEXTS:
+        value = getattr(event, name)
+        if value is not None and not isinstance(value, int):
+            setattr(event, name, str(value)[:MOST_TEXT])
+    for name in _LISTS:
+        setattr(event, name, [text[:MOST_TEXT] for text in getattr(event, name)])
+    if len(event.values) > LONG_LINE:
+        event.values = msgspec.Raw()
 
 
 def numbers(raw: msgspec.Raw) -> dict[str, Number | str | bool | None]:

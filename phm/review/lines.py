@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import gzip
+import os
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import IO, cast
 
+from phm.review.decompression import FREE_BYTES, MOST_GROWTH
 from phm.wire.json_log import COMPRESSED
 
 MAX_LINE = 2_000_000
@@ -53,8 +55,13 @@ def lines(segment: FileSegment, problems: Problems) -> Iterator[bytes]:
     try:
         with open(segment.path, "rb") as plain:
             if segment.path.endswith(COMPRESSED):
+                most = FREE_BYTES + MOST_GROWTH * os.path.getsize(segment.path)
                 with gzip.GzipFile(fileobj=plain) as packed:
-                    yield from _lines(cast(IO[bytes], packed), segment, problems)
+                    yield from _lines(cast(IO[bytes], packed), replace(segment, end=most), problems)
+                    if packed.tell() >= most:
+                        problems.add(
+                            f"it unpacks to more than {MOST_GROWTH} times its size: the rest was not read", segment.path
+                        )
             else:
                 yield from _lines(plain, segment, problems)
     except (OSError, EOFError, zlib.error) as error:

@@ -125,4 +125,6 @@ def _cell(text: str) -> str:
 def _csv(value: object) -> object:
     if isinstance(value, list):
         value = " ".join(map(str, value))
-    return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA) else value
+    if not isinstance(value, str):
+        return value
+    return f"'{one_line(value)}" if value.startswith(FORMULA) else one_line(value)

@@ -14,6 +14,7 @@ Json = dict[str, Any]
 MAX_EPISODES = 5000
 MAX_STEPS = 200
 MAX_BLOCKS = 50
+MAX_TEXT = 1000
 _TEXTS = (
     "event",
     "fault",
@@ -78,8 +79,14 @@ def build_timelines(events: Iterable[Mapping[str, Any]], open_now: Sequence[Mapp
 
 
 def _sound(event: Mapping[str, Any]) -> Json:
-    """The event without what has the wrong type: a damaged line still says what its other keys say."""
-    return {key: value for key, value in event.items() if key in SHAPES and not mismatch(value, SHAPES[key])}
+    """The event without what has the wrong type, and with texts of a sound length: a damaged line still says what its other keys say."""
+    return {key: _short(value) for key, value in event.items() if key in SHAPES and not mismatch(value, SHAPES[key])}
+
+
+def _short(value: Any) -> Any:
+    if isinstance(value, list):
+        return [text[:MAX_TEXT] for text in value[:MAX_BLOCKS]]
+    return value[:MAX_TEXT] if isinstance(value, str) else value
 
 
 def _new(event: Mapping[str, Any]) -> Json:

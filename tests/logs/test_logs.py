@@ -130,6 +130,17 @@ def test_the_command_that_is_named_shows_the_fault_of_the_log_that_was_given(tmp
     assert "see: phm faults ab12-1\n" in default and "remedy: phm approve ab12-1\n" in default
 
 
+def test_a_command_to_copy_contains_no_command_of_the_log(tmp_path: Path) -> None:
+    """A log may be of anyone."""
+    record(tmp_path, *STORY)
+    (file,) = tmp_path.glob("*.jsonl")
+    text = file.read_text().replace("ab12-1", "ab12-1; touch x #")
+    file.write_text(text.replace('"agent":"agent_1"', '"agent":"a1; touch y"'))
+    shown = logs(file).output
+    assert "see: phm faults 'ab12-1; touch x #' --log-dir" in shown
+    assert "remedy: phm approve 'ab12-1; touch x #' (on 'a1; touch y')" in shown
+
+
 def test_a_rate_has_its_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """In the text log it has none, as in the paper."""
     state = unit("rates/t1", Slot.RATES, Level.OK, "t1: 10.000")

@@ -291,6 +291,22 @@ def test_a_wrong_address_is_refused(tmp_path: Path, url: str) -> None:
     assert not (tmp_path / "out").exists()
 
 
+def test_no_link_of_a_folder_from_someone_else_is_followed(tmp_path: Path, engine: FakeEngine, agent: Agent) -> None:
+    """Not under the name of the index's new file, and not as the folder of an agent."""
+    out, mine, other = tmp_path / "out", tmp_path / "mine", tmp_path / "other"
+    assert collect(out, engine=engine).exit_code == 0
+    mine.write_text("precious")
+    (out / ".phm-collect.tmp").symlink_to(mine)
+    (out / "agent_1").rename(other)
+    (out / "agent_1").symlink_to(other)
+    before = sorted(path.name for path in other.iterdir())
+    agent.write()
+    assert collect(out, engine=engine).exit_code == 0
+    assert mine.read_text() == "precious" and sorted(path.name for path in other.iterdir()) == before
+    (made,) = [path for path in out.iterdir() if path.is_dir() and not path.is_symlink()]
+    assert texts(made) == list(range(1, agent.count + 1))
+
+
 def test_no_log_can_replace_what_was_collected(tmp_path: Path, engine: FakeEngine, agent: Agent) -> None:
     """A copy is replaced only by one that begins with all that it has: a first line can be forged."""
     out = tmp_path / "out"

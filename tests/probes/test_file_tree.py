@@ -159,6 +159,18 @@ def test_too_many_files_or_nested_folders_are_refused(folder: Folder, monkeypatc
         folder.read("a", "b")
 
 
+def test_a_folder_with_endless_names_is_refused(folder: Folder, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each path is kept: 50,000 files behind 60 folders with names of 250 characters would take more memory than PHM may use."""
+    monkeypatch.setattr(file_tree, "MAX_PATHS", 5000, raising=False)
+    deep = "/".join(letter * 100 for letter in "abcdefgh")
+    folder.write(f"{deep}/1")
+    assert len(folder.read().sums) == 1
+    folder.clock.advance(1000.0)
+    folder.write(f"{deep}/2")
+    with pytest.raises(CannotTell, match="names of its files and folders are too long"):
+        folder.read()
+
+
 def slow_files(monkeypatch: pytest.MonkeyPatch, clock: FakeClock, seconds: dict[str, float]) -> list[str]:
     """Reading each of these files takes this long; returns the list of files that are read."""
     reads: list[str] = []

@@ -7,9 +7,12 @@ import sys
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
+from email import message_from_bytes
+from email.policy import default
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any
+from socketserver import StreamRequestHandler, ThreadingTCPServer
+from typing import Any, ClassVar
 
 import pytest
 
@@ -172,6 +175,38 @@ def test_an_alert_that_cannot_be_sent_is_a_problem_without_secrets(chosen: dict[
     until(reporter.problem, "the problem")
     assert words in reporter.problem()
     reporter.close()
+
+
+class Mailbox(StreamRequestHandler):
+    """One SMTP dialogue; the mail is appended to `mails`."""
+
+    mails: ClassVar[list[bytes]] = []
+
+    def handle(self) -> None:
+        self.wfile.write(b"220 mailbox\r\n")
+        while word := self.rfile.readline()[:4].upper():
+            if word == b"DATA":
+                self.wfile.write(b"354 go on\r\n")
+                self.mails.append(b"".join(iter(self.rfile.readline, b".\r\n")))
+            self.wfile.write(b"221 bye\r\n" if word == b"QUIT" else b"250 mailbox\r\n")
+
+
+def test_an_email_shows_text_from_outside_as_it_is() -> None:
+    """A health check's output is no HTML: it makes no link, and what is between angle brackets is not lost."""
+    with ThreadingTCPServer(("127.0.0.1", 0), Mailbox) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        url = f"mailto://127.0.0.1:{server.server_address[1]}?from=a@example.org&to=b@example.org&mode=insecure"
+        body = "container/app: <a href='http://example.org/'>log in</a>"
+        assert notify.send_to_urls({"title": "A01 FAIL", "body": body, "type": "failure"}, [url]) == ""
+        server.shutdown()
+    (mail,) = Mailbox.mails
+    parts = {
+        part.get_content_type(): part.get_content()
+        for part in message_from_bytes(mail, policy=default).walk()
+        if not part.is_multipart()
+    }
+    assert "<a href" not in parts.get("text/html", "")
+    assert "log in" in "".join(parts.values()) and "<a href='http://example.org/'>" in parts.get("text/plain", body)
 
 
 def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import pytest
 
@@ -51,6 +51,12 @@ class Unwanted(Plain):
         return None
 
 
+class Leaving(Plain):
+    @classmethod
+    def build(cls, context: ReporterContext) -> Reporter | None:
+        raise SystemExit("no such display")
+
+
 class Unclosable(Plain):
     def close(self) -> None:
         raise OSError("gone")
@@ -60,7 +66,13 @@ def test_a_failing_reporter_does_not_affect_the_others(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Not loaded, not built, not enabled, not closed: the others are built, get events, are queried and closed."""
-    kinds = {"a_broken": Unbuildable, "b_unwanted": Unwanted, "c_stuck": Unclosable, "plain": Plain}
+    kinds = {
+        "a_broken": Unbuildable,
+        "a_leaving": Leaving,
+        "b_unwanted": Unwanted,
+        "c_stuck": Unclosable,
+        "plain": Plain,
+    }
     found = [Plugin(name, "test 1.0", kind) for name, kind in kinds.items()]
     monkeypatch.setattr(registry, "find", lambda group, base: [Plugin("x", "test 1.0", None, "no module"), *found])
     bus = Bus(SystemClock())
@@ -76,5 +88,45 @@ def test_a_failing_reporter_does_not_affect_the_others(
     assert Plain.closed == 1
     assert [record.message for record in caplog.records] == [
         "reporter a_broken cannot be started",
+        "reporter a_leaving cannot be started",
         "closing plain failed",
     ]
+
+
+class Unanswering(Plain):
+    name = "unanswering"
+
+    def problem(self) -> str:
+        raise KeyError("destination")
+
+    def report(self) -> dict[str, Any]:
+        return {("no", "key", "of JSON"): 1}
+
+
+class Odd(Plain):
+    name = "odd"
+
+    def problem(self) -> str:
+        return 7  # type: ignore[return-value]
+
+    def report(self) -> dict[str, Any]:
+        raise SystemExit(3)
+
+
+def test_a_reporter_that_cannot_be_asked_is_a_problem_and_hides_no_other(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Its state is asked for where a missing autopilot is reported, and for the status file."""
+    found = [Plugin(kind.name, "test 1.0", kind) for kind in (Unanswering, Odd, Plain)]
+    monkeypatch.setattr(registry, "find", lambda group, base: found)
+    bus = Bus(SystemClock())
+    reporters = ReporterManager(bus)
+    reporters.start(context(Settings()))
+    monkeypatch.setattr(Plain, "report", lambda self: {"sent": 3})
+    for _ in range(2):
+        first, second, third = reporters.problems()
+        assert "unanswering" in first and "destination" in first
+        assert "odd" in second and third == "plain has a problem"
+        assert reporters.reports() == {"plain": {"sent": 3}}
+    assert len(caplog.records) == 2, "each is logged once"
+    bus.close()

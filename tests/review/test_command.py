@@ -107,6 +107,20 @@ def test_text_of_a_record_is_neither_formula_nor_markdown(tmp_path: Path) -> Non
     assert "&lt;img&gt; \\[x\\](y)\\|" in markdown and "<img>" not in markdown
 
 
+def test_text_of_a_record_does_not_steer_the_terminal(tmp_path: Path) -> None:
+    """An escape sequence can hide lines, or write to the clipboard."""
+    escape = "\x1b]52;c;cHduZWQ=\x1b\\"
+    made = Flown(tmp_path)
+    made.until(20)
+    made.fail("nodes/node_1", brief=f"dead{escape}")
+    made.until(60)
+    made.close()
+    for words in (["."], [".", "--csv"], [".", "--markdown"], ["--compare", ".", "."]):
+        shown = phm(*[tmp_path if word == "." else word for word in words])
+        assert "\x1b" not in shown.output
+    assert "dead\\x1b]52" in phm(tmp_path).output
+
+
 def test_flights_are_compared_by_their_numbers(tmp_path: Path) -> None:
     """`PATH#N` is one flight of a record."""
     one_flight(tmp_path / "a").close()

@@ -6,9 +6,10 @@ import gzip
 import json
 from pathlib import Path
 
+import pytest
 from hypothesis import given, settings, strategies as st
 
-from phm.review import document, record, record_reader
+from phm.review import document, lines as lines_module, record, record_reader
 from phm.review.events import parse
 from phm.review.lines import MAX_LINE, FileSegment, Problems, lines
 from phm.review.part import Part
@@ -103,6 +104,33 @@ def test_a_damaged_compressed_file_is_read_up_to_the_damage(tmp_path: Path) -> N
     made = report(tmp_path)
     assert made["files"]["lines"] > 0
     assert any("damaged" in problem["what"] for problem in made["files"]["problems"])
+
+
+def test_long_texts_of_faults_are_cut(tmp_path: Path) -> None:
+    """A small compressed file may contain thousands of texts of a megabyte."""
+    long = "x" * 140_000
+    keys = {"event": "fault_opened", "boot_id": "b", "agent": "a", "agent_id": 1, "utc_s": 1.8e9, "by": [long]}
+    texts = dict.fromkeys(("unit", "layer", "condition", "summary", "brief", "target", "version", "detail"), long)
+    with gzip.open(tmp_path / "phm.jsonl.1.gz", "wt", compresslevel=1) as file:
+        for number in range(3):
+            lists = {"blocks": [long], "suspects": [long]}
+            event = {**keys, **texts, **lists, "seq": number, "mono": 1.0 + number, "fault": f"{number}{long[:5000]}"}
+            file.write(json.dumps(event) + "\n")
+            file.write(json.dumps({**event, "event": "transition", "level": "ERROR", "values": {long: 1}}) + "\n")
+    part = record_reader.read(record_reader.find([str(tmp_path)]), processes=1)
+    (run,) = part.runs.values()
+    kept = len(repr(run.faults)) + len(repr(run.changes))
+    assert len(run.faults) == 3 and kept < 100_000
+
+
+def test_a_compressed_log_is_read_up_to_a_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And the file is named."""
+    monkeypatch.setattr(lines_module, "FREE_BYTES", 10_000)
+    (tmp_path / "phm.jsonl.1.gz").write_bytes(gzip.compress(b"\n" * 3_000_000))
+    problems = Problems()
+    read = sum(len(line) for line in lines(FileSegment(str(tmp_path / "phm.jsonl.1.gz")), problems))
+    ((what, _path),) = problems.found
+    assert read < 1_000_000 and "unpacks to more than 100 times its size" in what
 
 
 @settings(max_examples=50, deadline=None)
