@@ -44,6 +44,8 @@ def test_a_service_needs_a_server() -> None:
     assert (gone.level, gone.brief) == (api.Level.ERROR, "it no is_ready")
     with pytest.raises(api.CannotTell, match="has no server yet"):
         evaluate(service(), up_s=1.0)
+    with pytest.raises(api.CannotTell, match="servers of .* are unknown"):
+        evaluate(service(), services={SERVICE: None})
 
 
 @pytest.mark.parametrize(
