@@ -148,7 +148,7 @@ class Devices(PerContainer):
             if inside is not None and inside not in names:
                 problem = f"it appears there as {listed(names)}, expected {inside}"
         elif not container.privileged:
-            problem = self._through_mount(wanted.path, fact, container)
+            problem = self._through_mount(world, wanted, fact, container)
         # A stopped container gets a new copy of the device file at its start.
         used = inside or (_shown(mapped[0], wanted.path) if mapped else wanted.path)
         running = container.status in ("running", "paused")
@@ -194,19 +194,29 @@ class Devices(PerContainer):
         elif numbers is None or (numbers, inode) != (known.numbers, known.inode):
             known.away = True
 
-    @staticmethod
-    def _through_mount(path: str, fact: api.DeviceFact, container: api.ContainerFact) -> str:
+    def _through_mount(
+        self, world: api.World, wanted: api.DeviceSettings, fact: api.DeviceFact, container: api.ContainerFact
+    ) -> str:
         """Empty when a bind mount and a device cgroup rule provide the device; else what is missing."""
-        bound = any(
-            one.kind == "bind" and (path == one.source or path.startswith(f"{one.source.rstrip('/')}/"))
-            for one in container.mounts
-        )
+        path, inside = wanted.path, wanted.in_container or wanted.path
+        binds = [
+            (one.source.rstrip("/"), one.destination.rstrip("/")) for one in container.mounts if one.kind == "bind"
+        ]
+        shown = [here + path[len(source) :] for source, here in binds if f"{path}/".startswith(f"{source}/")]
+        # A link beside it, e.g. of udev, may be what the application opens.
+        hosts = [source + inside[len(here) :] for source, here in binds if f"{inside}/".startswith(f"{here}/")]
+        bound = any(self._maps(world, api.DeviceMapping(host, inside), path, fact) for host in hosts)
         allowed = any(_allows(rule, fact) for rule in container.device_rules)
         if bound and allowed:
             return ""
         rule = f"device_cgroup_rules: ['c {fact.major}:* rmw']"
         if bound:
             return f"it is bind-mounted, but no device cgroup rule allows opening it; add {rule}"
+        if shown:
+            missing = "" if allowed else f", and add {rule}"
+            return (
+                f"it appears there as {listed(shown)}, expected {inside}; change the mount or `in_container`{missing}"
+            )
         if allowed:
             return "a device cgroup rule allows it, but the device file is not mounted; bind-mount /dev"
         return f"it is not among its devices; add `devices: ['{path}']`"

@@ -150,6 +150,18 @@ def test_each_way_to_map_a_device_counts(container: dict[str, Any]) -> None:
             "no device cgroup rule",
         ),
         ({"devices": (), "device_rules": ("c 166:* rmw",)}, "bind-mount /dev"),
+        (
+            {"devices": (), "mounts": (api.Mount("bind", "/dev", "/host/dev"),), "device_rules": ("c 166:* rmw",)},
+            f"it appears there as /host{PATH}, expected {PATH}",
+        ),
+        (
+            {"devices": (), "mounts": (api.Mount("bind", PATH, "/dev/fmu"),), "device_rules": ("c 166:* rmw",)},
+            f"it appears there as /dev/fmu, expected {PATH}",
+        ),
+        (
+            {"devices": (), "mounts": (api.Mount("bind", "/dev", "/host/dev"),)},
+            f"expected {PATH}; change the mount or `in_container`, and add device_cgroup_rules: ['c 166:* rmw']",
+        ),
     ],
 )
 def test_a_device_that_the_container_cannot_use_is_unmapped(container: dict[str, Any], words: str) -> None:
@@ -164,6 +176,16 @@ def test_the_device_name_inside_the_container_must_be_the_configured_one() -> No
     assert evaluate(build(in_container="/dev/fmu"), there()).condition == "device_unmapped"
     mapped = (api.DeviceMapping(PATH, "/dev/fmu"),)
     assert evaluate(build(in_container="/dev/fmu"), there(), devices=mapped).level is api.Level.OK
+    mounted: dict[str, Any] = {"devices": (), "device_rules": ("c 166:* rmw",)}
+    linked = there()
+    linked.put("/dev/fmu", major=166)
+    for host, mount, condition in (
+        (there(), api.Mount("bind", PATH, "/dev/fmu"), ""),
+        (there(), api.Mount("bind", "/dev", "/dev"), "device_unmapped"),
+        (linked, api.Mount("bind", "/dev", "/dev"), ""),
+    ):
+        result = evaluate(build(in_container="/dev/fmu"), host, mounts=(mount,), **mounted)
+        assert result.condition == condition
 
 
 @pytest.mark.parametrize(
