@@ -19,6 +19,7 @@ SETTLE_S = 3.0
 """A node that starts again within its running container is not ready for a moment, and its death may be known later."""
 UNANSWERED_S = 5.0
 """A lifecycle node that has not answered for this long is not ready."""
+NOT_LISTED = "a name in the ROS domain is not UTF-8"
 BUSY = "PHM restarts nothing for this: it may be busy"
 LARGE_BPS, LARGE_PAUSE_S = 0.8e6, 2.5
 """Topics with more bytes per second are received only every two seconds (`phm.probes.ros.rates.topic_monitor`)."""
@@ -128,7 +129,10 @@ class Requirements:
         return None if seen.answer else Finding(f"{service} has not answered yet", unknown=True)
 
     def _service(self, name: str) -> Finding | None:
-        if self._fact.services.get(name):
+        count = self._fact.services.get(name, 0)
+        if count is None:
+            return Finding(f"the servers of {name} are unknown: {NOT_LISTED}", unknown=True)
+        if count:
             return None
         return Finding(f"service {name} has no server", f"no {last(name)}", unknown=self._young)
 

@@ -31,8 +31,9 @@ class _Known:
     """A device as first seen since the container started; `away` once it was missing or replaced."""
 
     generation: str
-    numbers: tuple[int, int, int] | None
-    """Major, minor and inode; None if it was missing."""
+    numbers: tuple[int, int] | None
+    """Major and minor; None if it was missing."""
+    inode: int
     away: bool = False
     seen_start: bool = False
     """The container was started in this run of PHM: no change since then is unknown."""
@@ -147,12 +148,14 @@ class Devices(PerContainer):
             if inside is not None and inside not in names:
                 problem = f"it appears there as {listed(names)}, expected {inside}"
         elif not container.privileged:
-            problem = self._through_mount(wanted.path, fact, container)
+            problem = self._through_mount(world, wanted, fact, container)
         # A stopped container gets a new copy of the device file at its start.
         used = inside or (_shown(mapped[0], wanted.path) if mapped else wanted.path)
-        copied = container.status in ("running", "paused") and not _follows_host(wanted.path, used, container)
+        running = container.status in ("running", "paused")
+        copied = running and not _follows_host(wanted.path, used, container)
         copy = (f"{wanted.path} in the run since {container.started_at}",)
-        if not problem and copied and self._known[wanted.path].away:
+        known = self._known[wanted.path]
+        if not problem and copied and known.numbers != _numbers(fact):
             words = (
                 f"{wanted.path} was disconnected and is back, but {self.key} still has the old device file from its start: "
                 f"restart {self.key} so that it can use the device again"
@@ -161,9 +164,11 @@ class Devices(PerContainer):
             return lost.with_evidence(api.Evidence(subjects=copy))
         if not problem:
             # A PHM that was restarted does not know whether it was replaced before.
-            known = not copied or self._known[wanted.path].seen_start
-            evidence = api.Evidence(unobserved_of=() if known else copy)
-            return api.ok(f"{found}, mapped into {self.key}").with_evidence(evidence)
+            evidence = api.Evidence(unobserved_of=copy if copied and not known.seen_start else ())
+            words = f"{found}, mapped into {self.key}"
+            if running and known.away:
+                words += f". It was disconnected after {self.key} started: a program that has not reopened it needs a restart"
+            return api.ok(words).with_evidence(evidence)
         words = f"{wanted.path} exists, but {self.key} cannot use it: {problem}"
         return self._bad(wanted.path, words, "not in container", "device_unmapped")
 
@@ -180,33 +185,49 @@ class Devices(PerContainer):
         return other is not None and other.character and (other.major, other.minor) == (fact.major, fact.minor)
 
     def _remember(self, path: str, fact: api.DeviceFact | None, container: api.ContainerFact) -> None:
-        """Track changes of a device. Docker copies its file when the container starts, so a replaced device needs a restart."""
-        numbers = (fact.major, fact.minor, fact.inode) if fact is not None else None
+        """Track changes of a device. Docker copies its file when the container starts, and allows it by its numbers: one that is
+        back with other numbers needs a restart of the container, one with the same numbers only has to be opened again."""
+        numbers, inode = _numbers(fact), fact.inode if fact is not None else 0
         known = self._known.get(path)
         if known is None or known.generation != container.generation:
-            self._known[path] = _Known(container.generation, numbers, seen_start=known is not None)
-        elif numbers is None or numbers != known.numbers:
+            self._known[path] = _Known(container.generation, numbers, inode, seen_start=known is not None)
+        elif numbers is None or (numbers, inode) != (known.numbers, known.inode):
             known.away = True
 
-    @staticmethod
-    def _through_mount(path: str, fact: api.DeviceFact, container: api.ContainerFact) -> str:
+    def _through_mount(
+        self, world: api.World, wanted: api.DeviceSettings, fact: api.DeviceFact, container: api.ContainerFact
+    ) -> str:
         """Empty when a bind mount and a device cgroup rule provide the device; else what is missing."""
-        bound = any(
-            one.kind == "bind" and (path == one.source or path.startswith(f"{one.source.rstrip('/')}/"))
-            for one in container.mounts
-        )
+        path, inside = wanted.path, wanted.in_container or wanted.path
+        binds = [
+            (one.source.rstrip("/"), one.destination.rstrip("/")) for one in container.mounts if one.kind == "bind"
+        ]
+        shown = [here + path[len(source) :] for source, here in binds if f"{path}/".startswith(f"{source}/")]
+        # A link beside it, e.g. of udev, may be what the application opens.
+        hosts = [source + inside[len(here) :] for source, here in binds if f"{inside}/".startswith(f"{here}/")]
+        bound = any(self._maps(world, api.DeviceMapping(host, inside), path, fact) for host in hosts)
         allowed = any(_allows(rule, fact) for rule in container.device_rules)
         if bound and allowed:
             return ""
         rule = f"device_cgroup_rules: ['c {fact.major}:* rmw']"
         if bound:
             return f"it is bind-mounted, but no device cgroup rule allows opening it; add {rule}"
+        if shown:
+            missing = "" if allowed else f", and add {rule}"
+            return (
+                f"it appears there as {listed(shown)}, expected {inside}; change the mount or `in_container`{missing}"
+            )
         if allowed:
             return "a device cgroup rule allows it, but the device file is not mounted; bind-mount /dev"
         return f"it is not among its devices; add `devices: ['{path}']`"
 
     def _bad(self, path: str, words: str, short: str, condition: str) -> api.Result:
         return api.error(words, brief=brief(last(path), short), condition=condition, target=self.key)
+
+
+def _numbers(fact: api.DeviceFact | None) -> tuple[int, int] | None:
+    """What a program in the container opens: the name and the inode of a device file play no role."""
+    return (fact.major, fact.minor) if fact is not None and fact.character else None
 
 
 def _shown(mapping: api.DeviceMapping, path: str) -> str:

@@ -41,6 +41,7 @@ class Files(PerContainer):
         """All problems in the summary, the first in the brief; ERROR wins over files that cannot be read."""
         # Files that recovery can restore come first: the condition of the first selects the action.
         ordered = sorted(self.entry.files, key=lambda wanted: wanted.restore is None)
+        self._alone: list[str] = []
         findings = [self._judge(world, wanted) for wanted in ordered]
         first = api.worst(findings)
         values: dict[str, api.Value] = {
@@ -49,7 +50,12 @@ class Files(PerContainer):
         }
         if first.level is api.Level.OK:
             paths = listed((wanted.path for wanted in self.entry.files), cut=ending)
-            return api.ok(f"File check passed: {paths}", values=values)
+            notes = [
+                f"{path} is mounted as a single file: if the host replaces it, the container keeps the old one until its next "
+                "start; mount its folder"
+                for path in self._alone
+            ]
+            return api.ok("; ".join([f"File check passed: {paths}", *notes]), values=values)
         summary = joined([finding.summary for finding in findings if finding.level is not api.Level.OK])
         return replace(first, summary=summary, brief=combined(findings), values=values)
 
@@ -71,7 +77,17 @@ class Files(PerContainer):
         if wanted.executable and (fact.kind != "file" or not fact.executable):
             words = f"{where} is not executable (mode {fact.mode & 0o7777:04o}), expected an execute bit: `chmod +x` it"
             return self._bad(wanted, words, "not executable", "file_not_executable")
+        if fact.kind == "file" and self._is_mounted(world, wanted.path):
+            self._alone.append(wanted.path)
         return self._content(wanted, fact, where)
+
+    def _is_mounted(self, world: api.World, path: str) -> bool:
+        """Whether a bind mount shows exactly this path; of a file, the container then sees the inode of its start."""
+        try:
+            container = world.docker.container(self.key, self.period_s)
+        except api.CannotTell:
+            return False
+        return container is not None and any((one.kind, one.destination) == ("bind", path) for one in container.mounts)
 
     def _folder(self, world: api.World, wanted: api.FileSettings, manifest: str, where: str) -> api.Result:
         try:

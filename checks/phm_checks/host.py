@@ -18,6 +18,8 @@ __all__ = ["STEP_REPORT_S", "Host", "Threshold"]
 
 STEP_REPORT_S = 30.0
 """A clock jump shows in one reading; it is reported for this long so that operators see it."""
+FIRST_SET_S = 300.0
+"""A clock that is first set within this time since boot has waited for its time source, as on a computer without a battery for it."""
 THROTTLE_REPORT_S = 30.0
 """The same for short throttling, e.g. by an under-voltage when motors start."""
 SUSPECTS = ("memory", "disk")
@@ -41,6 +43,8 @@ class Host(api.Check):
         self._heat = Threshold(limits.temperature_warn, limits.temperature_error)
         self._throttling = RecentThrottling(THROTTLE_REPORT_S)
         self._step: tuple[float, float] | None = None
+        self._first_set = False
+        self._synchronized: bool | None = None
         self._window_s = settings.pressure.host_window
         self._memory_stalls = HostPressure(settings.pressure.host_memory, self._window_s)
         self._io_limit = settings.pressure.host_io
@@ -220,15 +224,26 @@ class Host(api.Check):
         return api.ok(f"{heat}{earlier}", values=values)
 
     def _judge_clock(self, fact: api.HostFact, now: float) -> api.Result:
-        """WARN after a jump. An unsynchronised clock is only mentioned: in the field there is often no time source."""
+        """WARN after a jump, unless a time source was found for the first time since boot. An unsynchronised clock is only
+        mentioned: in the field there is often none."""
         if abs(fact.clock_step_s) > self._limits.clock_step:
+            # Monotonic time begins at boot.
+            young = now < FIRST_SET_S and not self._synchronized
+            found = self._synchronized is False and fact.clock_synchronized is True
+            self._first_set = self._step is None and fact.clock_step_s > 0 and (young or found)
             self._step = (now, fact.clock_step_s)
+        self._synchronized = fact.clock_synchronized
         values: dict[str, api.Value] = {
             "clock_synchronized": fact.clock_synchronized,
             "clock_step_s": round(fact.clock_step_s, 3),
         }
         if self._step is not None and now - self._step[0] < STEP_REPORT_S:
             step = self._step[1]
+            if self._first_set:
+                return api.ok(
+                    f"The UTC clock was set for the first time, by {step:+.1f} s: timestamps before that are too early",
+                    values=values,
+                )
             words = (
                 f"the UTC clock jumped by {step:+.1f} s, expected at most {self._limits.clock_step:g} s: timestamps before and "
                 "after it are inconsistent; check chrony, NTP or the GPS time source"

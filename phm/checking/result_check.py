@@ -14,6 +14,7 @@ _TEXTS = ("summary", "brief", "condition", "target")
 _SECONDS = ("settle_s", "decides_s", "age_s", "rate_hz")
 _AGE = "age_s"
 """Always a number; infinity: the evidence may be from any time before PHM's first observation."""
+_READINGS = ("cpu_percent", "memory_percent", "temperature_c")
 _EVIDENCE_TEXTS = ("generation", "file", "broken_hop", "ended_by")
 _EVIDENCE_FLAGS = ("certain", "conclusive", "in_time", "rising", "falling", "forecast", "recovered", "unobserved")
 _VALUES = (str, int, float, bool, type(None))
@@ -58,9 +59,33 @@ def _wrong_details(result: Result) -> str:
         return f"a Result whose evidence.{field} is {_kind(getattr(result.evidence, field))}, which it must not be"
     if not isinstance(result.readings, (HostReadings, type(None))):
         return f"a Result whose readings are {_kind(result.readings)}, not HostReadings"
+    if result.readings is not None and (field := _wrong_readings(result.readings)):
+        return f"a Result whose readings.{field} is not of its type"
     if not isinstance(result.votes, tuple) or not all(isinstance(each, NodeVotes) for each in result.votes):
         return "a Result whose votes are not a tuple of NodeVotes"
+    for number, votes in enumerate(result.votes):
+        if field := _wrong_votes(votes):
+            return f"a Result whose votes[{number}].{field} is not of its type"
     return ""
+
+
+def _wrong_readings(readings: HostReadings) -> str:
+    """A field whose value is not of the documented type; empty: none."""
+    for name in _READINGS:
+        if not _is_number(getattr(readings, name), age=False):
+            return name
+    if not _are_numbers(readings.fans_rpm):
+        return "fans_rpm"
+    disks = readings.disks
+    return "" if isinstance(disks, tuple) and all(_are_numbers(disk) and len(disk) == 2 for disk in disks) else "disks"
+
+
+def _wrong_votes(votes: NodeVotes) -> str:
+    """The same for the votes about one node."""
+    for name in ("node", "verdict"):
+        if not isinstance(getattr(votes, name), str):
+            return name
+    return next((name for name in ("alive", "dead") if not _are_names(getattr(votes, name))), "")
 
 
 def _wrong_evidence(evidence: Evidence) -> str:
@@ -84,6 +109,10 @@ def _wrong_evidence(evidence: Evidence) -> str:
 
 def _are_names(names: object) -> bool:
     return isinstance(names, tuple) and all(isinstance(name, str) for name in names)
+
+
+def _are_numbers(numbers: object) -> bool:
+    return isinstance(numbers, tuple) and all(_is_number(number, age=True) and number != math.inf for number in numbers)
 
 
 def _is_number(number: object, *, age: bool) -> bool:

@@ -272,7 +272,7 @@ class RosFact:
                  out, because its silence proves nothing.
     listened_s:  how long this child has existed, interruptions included.
     services:    how often discovery lists a server of each service of `ready.services` or of a check of type `service`, by
-                 full name.
+                 full name; None: unknown.
     lifecycle:   states of the nodes with `ready.lifecycle` or a check of type `lifecycle`, by full name.
     calls:       answers of the services that are called, by full name.
     diagnostic_sources: the newest status of each publisher, for names that several publishers use.
@@ -289,7 +289,7 @@ class RosFact:
     names_known: bool = True
     lost_s: float | None = None
     listened_s: float = 0.0
-    services: Mapping[str, int] = field(default_factory=dict)
+    services: Mapping[str, int | None] = field(default_factory=dict)
     lifecycle: Mapping[str, AnswerFact] = field(default_factory=dict)
     calls: Mapping[str, AnswerFact] = field(default_factory=dict)
     diagnostic_sources: Mapping[str, tuple[DiagnosticFact, ...]] = field(default_factory=dict)

@@ -94,6 +94,7 @@ class Host:
     def __init__(
         self, settings: HostSettings, clock: Clock, sysfs: Path = Path("/sys"), proc: Path = Path("/proc")
     ) -> None:
+        self._settings = settings
         self._clock = clock
         self._sysfs = sysfs
         self._meminfo = str(proc / "meminfo")
@@ -112,6 +113,8 @@ class Host:
                 load = os.getloadavg()[0]
             except (OSError, ValueError, IndexError) as error:
                 raise CannotTell(f"the kernel's figures cannot be read ({error}): is /proc mounted?") from error
+            if abs(step := self._step()) > self._settings.clock_step:
+                self._slow = None  # a clock that was set may be synchronized now
             slow = self._slowly()
             return HostFact(
                 cpu_percent=use.busy_percent,
@@ -126,7 +129,7 @@ class Host:
                 temperature_of=slow.temperature_of,
                 throttled=_throttled(slow.throttle_flags),
                 clock_synchronized=slow.clock_synchronized,
-                clock_step_s=self._step(),
+                clock_step_s=step,
                 fans_rpm=slow.fans_rpm,
             )
 

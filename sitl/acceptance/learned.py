@@ -69,8 +69,6 @@ recovery:
 """
 """What is there before: as much as PHM needs to join the application's network, and that a container that the script pauses is a
 failure, although the vehicle is disarmed."""
-STARTED_AGAIN = frozenset(("device_gone",))
-"""A container has the device file of its start: when the device is back, an operator restarts the container, as PHM says."""
 FOLDER = "ros_app:/ws"
 SEEN_LIMIT_S, START_LIMIT_S, LEARN_LIMIT_S = 60.0, 90.0, 600.0
 """The first: since PHM may know of the fault (`sitl.acceptance.known_late.known_s`)."""
@@ -151,7 +149,7 @@ class LearnedRun:
             fault.clear(agent)
         except DockerException as error:  # it expects a container that runs
             self.console.print(f"  undo: {error}", markup=False)
-        if not self._restored(fault) or fault.name in STARTED_AGAIN:
+        if not self._restored(fault):
             if agent.app.status == "paused":
                 agent.app.unpause()
             self.stack.recreate("ros_app")

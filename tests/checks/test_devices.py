@@ -150,6 +150,18 @@ def test_each_way_to_map_a_device_counts(container: dict[str, Any]) -> None:
             "no device cgroup rule",
         ),
         ({"devices": (), "device_rules": ("c 166:* rmw",)}, "bind-mount /dev"),
+        (
+            {"devices": (), "mounts": (api.Mount("bind", "/dev", "/host/dev"),), "device_rules": ("c 166:* rmw",)},
+            f"it appears there as /host{PATH}, expected {PATH}",
+        ),
+        (
+            {"devices": (), "mounts": (api.Mount("bind", PATH, "/dev/fmu"),), "device_rules": ("c 166:* rmw",)},
+            f"it appears there as /dev/fmu, expected {PATH}",
+        ),
+        (
+            {"devices": (), "mounts": (api.Mount("bind", "/dev", "/host/dev"),)},
+            f"expected {PATH}; change the mount or `in_container`, and add device_cgroup_rules: ['c 166:* rmw']",
+        ),
     ],
 )
 def test_a_device_that_the_container_cannot_use_is_unmapped(container: dict[str, Any], words: str) -> None:
@@ -164,18 +176,27 @@ def test_the_device_name_inside_the_container_must_be_the_configured_one() -> No
     assert evaluate(build(in_container="/dev/fmu"), there()).condition == "device_unmapped"
     mapped = (api.DeviceMapping(PATH, "/dev/fmu"),)
     assert evaluate(build(in_container="/dev/fmu"), there(), devices=mapped).level is api.Level.OK
+    mounted: dict[str, Any] = {"devices": (), "device_rules": ("c 166:* rmw",)}
+    linked = there()
+    linked.put("/dev/fmu", major=166)
+    for host, mount, condition in (
+        (there(), api.Mount("bind", PATH, "/dev/fmu"), ""),
+        (there(), api.Mount("bind", "/dev", "/dev"), "device_unmapped"),
+        (linked, api.Mount("bind", "/dev", "/dev"), ""),
+    ):
+        result = evaluate(build(in_container="/dev/fmu"), host, mounts=(mount,), **mounted)
+        assert result.condition == condition
 
 
 @pytest.mark.parametrize(
-    ("back", "container"),
+    ("gone", "container"),
     [
-        ({"minor": 1}, {}),
-        ({"inode": 8}, {}),
-        ({}, {}),
-        ({}, {"mounts": (api.Mount("bind", "/", "/host"),)}),
-        ({}, {"mounts": (api.Mount("bind", "/dev", "/host/dev"),)}),
+        (False, {}),
+        (True, {}),
+        (True, {"mounts": (api.Mount("bind", "/", "/host"),)}),
+        (True, {"mounts": (api.Mount("bind", "/dev", "/host/dev"),)}),
         (
-            {},
+            True,
             {
                 "mounts": (api.Mount("bind", "/dev", "/dev"),),
                 "devices": (api.DeviceMapping(PATH, "/run/fmu"),),
@@ -183,19 +204,52 @@ def test_the_device_name_inside_the_container_must_be_the_configured_one() -> No
         ),
     ],
 )
-def test_a_replugged_device_is_lost_for_the_container(back: dict[str, int], container: dict[str, Any]) -> None:
-    """Docker copies device files when it starts a container: a replugged device exists on the host only, until a restart.
+def test_a_device_that_is_back_with_other_numbers_is_lost_for_the_container(
+    gone: bool, container: dict[str, Any]
+) -> None:
+    """Docker copies device files when it starts a container: one with other numbers exists on the host only, until a restart.
     A bind mount that shows it at another path does not help a program that uses the copy."""
-    check, devices = build(), there(inode=7)
+    check, devices = build(), there()
     assert evaluate(check, devices, **container).level is api.Level.OK
-    if not back:
+    if gone:
         del devices.devices[PATH]
         assert evaluate(check, devices, **container).condition == "device_missing"
-    devices.put(PATH, **{"major": 166, "inode": 7, **back})
+    devices.put(PATH, major=166, minor=1)
     result = evaluate(check, devices, **container)
     assert (result.condition, result.target) == ("device_replugged", "ros_app")
     assert "restart ros_app" in result.summary
     assert evaluate(check, devices, **container, started_at="later").level is api.Level.OK
+    devices.put(PATH, major=166)
+    assert evaluate(check, devices, **container, started_at="later").condition == "device_replugged"
+
+
+@pytest.mark.parametrize("gone", [True, False])
+@pytest.mark.parametrize("wrong", [{}, {"minor": 1}, {"character": False}])
+def test_a_device_that_is_back_with_the_same_numbers_works_in_the_container(gone: bool, wrong: dict[str, Any]) -> None:
+    """A device file is its numbers, and those of the container's copy and cgroup rule are the same. A program that has not opened
+    it again has an error, though, which its topics show: PHM does not restart it for that."""
+    check, devices = build(), there(inode=7)
+    assert "disconnected" not in evaluate(check, devices).summary
+    if gone:
+        del devices.devices[PATH]
+        evaluate(check, devices)
+    if wrong:
+        devices.put(PATH, **{"major": 166, **wrong})
+        assert evaluate(check, devices).level is api.Level.ERROR
+    devices.put(PATH, major=166, inode=8)
+    for _ in range(2):
+        result = evaluate(check, devices)
+        assert result.level is api.Level.OK
+        assert "a program that has not reopened it needs a restart" in result.summary
+    assert "disconnected" not in evaluate(check, devices, started_at="later").summary
+
+
+def test_a_device_that_was_missing_when_first_observed_is_lost_for_the_container() -> None:
+    """The container cannot have been started with the numbers that the device has now, as far as PHM knows."""
+    check, devices = build(), testing.FakeDevices()
+    assert evaluate(check, devices).condition == "device_missing"
+    devices.put(PATH, major=166)
+    assert evaluate(check, devices).condition == "device_replugged"
 
 
 @pytest.mark.parametrize(
@@ -218,9 +272,9 @@ def test_a_replugged_device_is_available_where_dev_is_bind_mounted(container: di
 
 def test_after_a_restart_of_phm_a_replugged_device_may_still_be_lost() -> None:
     """Only a new run of the container, or its view of the host's /dev, shows that it is not."""
-    check, devices = build(), there(inode=7)
+    check, devices = build(), there()
     evaluate(check, devices)
-    devices.put(PATH, major=166, inode=8)
+    devices.put(PATH, major=166, minor=1)
     lost = evaluate(check, devices).evidence.subjects
     assert lost == (f"{PATH} in the run since 2026-01-01T00:00:00.000000001Z",)
     check = build()

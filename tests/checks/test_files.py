@@ -13,9 +13,11 @@ PATH = "/app/critical_file"
 SUM = "ab" * 32
 
 
-def evaluate(*wanted: dict[str, Any], files: testing.FakeFiles, running: bool = True) -> api.Result:
+def evaluate(
+    *wanted: dict[str, Any], files: testing.FakeFiles, running: bool = True, mounts: tuple[api.Mount, ...] = ()
+) -> api.Result:
     (check,) = Files.build(testing.settings(containers=[{"name": "ros_app", "files": list(wanted)}]))
-    docker = testing.FakeDocker(*([testing.container("ros_app")] if running else []))
+    docker = testing.FakeDocker(*([testing.container("ros_app", mounts=mounts)] if running else []))
     result = check.run(testing.world(files=files, docker=docker))
     assert isinstance(result, api.Result)
     return result
@@ -109,3 +111,29 @@ def test_a_known_problem_outweighs_an_inaccessible_file() -> None:
 def test_a_digest_that_could_not_be_read_is_stale() -> None:
     """A file without its digest may be modified."""
     assert evaluate({"path": PATH, "sha256": SUM}, files=with_file()).level is api.Level.STALE
+
+
+@pytest.mark.parametrize(
+    ("mount", "kind", "noted"),
+    [
+        (api.Mount("bind", "/home/pi/critical_file", PATH), "file", True),
+        (api.Mount("bind", "/home/pi/critical_file", PATH), "directory", False),
+        (api.Mount("bind", "/home/pi", "/app"), "file", False),
+        (api.Mount("volume", "", PATH, "app_data"), "file", False),
+    ],
+)
+def test_a_file_that_is_mounted_alone_is_noted(mount: api.Mount, kind: str, noted: bool) -> None:
+    """The container keeps the file of its start when an editor or an update replaces it on the host, and PHM sees the new one."""
+    result = evaluate({"path": PATH}, files=with_file(kind=kind), mounts=(mount,))
+    assert result.level is api.Level.OK
+    assert (f"{PATH} is mounted as a single file" in result.summary) is noted
+
+
+def test_a_file_is_checked_while_its_mounts_are_unknown() -> None:
+    """The engine may hang while a volume is read."""
+    (check,) = Files.build(testing.settings(containers=[{"name": "ros_app", "files": [{"path": PATH}]}]))
+    docker = testing.FakeDocker(testing.container("ros_app"))
+    docker.fail("the engine does not answer")
+    result = check.run(testing.world(files=with_file(), docker=docker))
+    assert isinstance(result, api.Result)
+    assert result.level is api.Level.OK

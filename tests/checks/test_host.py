@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from phm import api, testing
-from phm_checks.host import STEP_REPORT_S, THROTTLE_REPORT_S, Host, Threshold
+from phm_checks.host import FIRST_SET_S, STEP_REPORT_S, THROTTLE_REPORT_S, Host, Threshold
 
 
 class Bench:
@@ -163,6 +163,34 @@ def test_a_clock_step_is_reported_for_a_limited_time() -> None:
     assert bench.observe("clock", clock_step_s=0.0).brief == "clock jumped +10 s"
     bench.clock.advance(STEP_REPORT_S)
     assert bench.observe("clock").level is api.Level.OK
+
+
+@pytest.mark.parametrize(("synchronized", "mono"), [(False, 60.0), (None, 60.0), (False, 2 * FIRST_SET_S)])
+def test_the_first_time_that_is_set_after_boot_is_a_note(synchronized: bool | None, mono: float) -> None:
+    """A computer without a battery for its clock has an old time until it has a time source. A second jump is a WARN."""
+    bench = Bench()
+    bench.clock = testing.FakeClock(mono=mono)
+    bench.observe("clock", clock_synchronized=synchronized)
+    for step in (86400.0, 0.0):
+        first = bench.observe("clock", clock_step_s=step, clock_synchronized=True)
+        assert (first.level, first.brief) == (api.Level.OK, "")
+        assert "set for the first time, by +86400.0 s" in first.summary
+    assert bench.observe("clock", clock_step_s=3.0).brief == "clock jumped +3 s"
+    bench.clock.advance(STEP_REPORT_S)
+    assert bench.observe("clock", clock_step_s=0.0).summary == "Clock is synchronised"
+
+
+@pytest.mark.parametrize(
+    ("mono", "synchronized", "step"),
+    [(60.0, None, -5.0), (60.0, True, 5.0), (FIRST_SET_S, None, 5.0), (FIRST_SET_S, False, 5.0)],
+    ids=["back", "synchronised before", "long after boot", "without a time source"],
+)
+def test_any_other_jump_is_a_warning(mono: float, synchronized: bool | None, step: float) -> None:
+    """Nothing is expected to set the clock like this."""
+    bench = Bench()
+    bench.clock = testing.FakeClock(mono=mono)
+    bench.observe("clock", clock_synchronized=synchronized)
+    assert bench.observe("clock", clock_step_s=step).condition == "clock_step"
 
 
 @pytest.mark.parametrize("synchronized", [True, False, None])

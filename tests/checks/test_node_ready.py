@@ -169,6 +169,9 @@ def test_services_need_a_server() -> None:
     assert (result.level, result.brief) == (api.Level.ERROR, "planner not ready: no plan_path")
     assert "service /a/plan_path has no server; service /a/clear has no server. Check its log" in result.summary
     assert evaluate(check, services={}, up_s=1.0).level is api.Level.STALE
+    unknown = evaluate(check, services={"/a/plan_path": 1, "/a/clear": None})
+    assert (unknown.level, unknown.condition) == (api.Level.STALE, "")
+    assert "the servers of /a/clear are unknown" in unknown.summary
 
 
 @pytest.mark.parametrize(

@@ -123,6 +123,22 @@ def test_a_clock_step_is_measured_against_the_monotonic_clock(tmp_path: Path) ->
     assert steps == [0.0, 0.0, -5.0, 0.0]
 
 
+def test_whether_the_clock_is_synchronized_is_as_new_as_its_step(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both change when a time source is found; otherwise it is read every SLOW_S."""
+    clock, states = testing.FakeClock(), iter((False, True))
+    monkeypatch.setattr("phm.probes.host.clock_synchronized", lambda: next(states))
+    host = Host(testing.settings().host, clock, tmp_path)
+    found = []
+    for jump in (0.0, 0.0, 5.0, 0.0):
+        clock.advance(0.5)
+        clock.jump_utc(jump)
+        fact = host.read()
+        found.append((fact.clock_synchronized, round(fact.clock_step_s)))
+    assert found == [(False, 0), (False, 0), (True, 5), (True, 0)]
+
+
 # ------------------------------------------------------------ the worker
 
 

@@ -100,18 +100,19 @@ def test_every_policy_of_an_endpoint_is_reported(bench: Bench) -> None:
 
 
 @pytest.mark.one_distribution
-def test_qos_is_not_reported_for_a_middleware_that_ignores_it(bench: Bench) -> None:
-    """Zenoh has no QoS that keeps two endpoints from matching."""
+def test_deadlines_and_subscribers_have_no_qos_with_a_middleware_that_ignores_it(bench: Bench) -> None:
+    """Zenoh has no QoS that keeps two endpoints from matching. That a topic is latched is reported."""
     code = (
         "import phm.probes.ros.graph as g; g.quality_matters = lambda: False\n"
         "from phm.probes.ros.child import main; raise SystemExit(main())"
     )
-    bench.script("ros_endpoints.py", "talker", "pub:topic_1:deadline=0.5")
+    bench.script("ros_endpoints.py", "talker", "pub:topic_1:durability=transient_local,deadline=0.5", "sub:topic_1")
     probe = bench.probe([{"name": TOPIC}], command=(sys.executable, "-c", code))
-    fact = seen(
-        probe, lambda fact: [end for end in fact.topics[TOPIC].publishers if end.node] and fact, "the publisher"
-    )
-    assert replace(fact.topics[TOPIC].publishers[0], type_hash="") == EndpointFact("/agent_1/talker", STRING)
+    fact = seen(probe, lambda fact: has_named_endpoints(fact) and fact, "both ends")
+    plain = EndpointFact("/agent_1/talker", STRING)
+    latched = replace(plain, reliability="reliable", durability="transient_local")
+    assert replace(fact.topics[TOPIC].publishers[0], type_hash="") == latched
+    assert replace(fact.topics[TOPIC].subscribers[0], type_hash="") == plain
 
 
 @pytest.mark.one_distribution

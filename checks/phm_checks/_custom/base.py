@@ -10,6 +10,7 @@ from typing import Any
 
 from phm import api
 from phm.api import Layer, Level, Slot
+from phm_checks._readiness import BUSY
 from phm_checks._text import brief, clean
 
 DEADLINE_MARGIN_S = 5.0
@@ -25,6 +26,7 @@ class Finding:
     """What one run found. level: OK, WARN, or ERROR, which becomes the level of the entry.
 
     text: a clause for the log, e.g. `port 80 of camera refused the connection`. short: the same in two or three words.
+    unanswered: only an answer is missing, which a busy node gives late, so that recovery restarts nothing.
     """
 
     level: Level
@@ -32,6 +34,7 @@ class Finding:
     short: str = ""
     values: Mapping[str, api.Value] = field(default_factory=dict)
     evidence: api.Evidence = field(default_factory=api.Evidence)
+    unanswered: bool = False
 
 
 def good(text: str, **values: api.Value) -> Finding:
@@ -92,9 +95,12 @@ class CustomCheck(api.Check):
             return api.ok(text, values=found.values).with_evidence(found.evidence)
         level = Level.WARN if self.entry.level == "warn" else found.level
         words = f"{text}. {clean(self.entry.advice)}" if self.entry.advice else text
+        target = "" if found.unanswered else self._acts_on
+        if target != self._acts_on:
+            words = f"{words}. {BUSY}"
         short = brief(self.entry.brief or brief(self.subject, found.short))
         line = self._steady(level, short, world.clock.mono())
-        return api.Result(level, words, line, FAILED, self._acts_on, found.values, evidence=found.evidence)
+        return api.Result(level, words, line, FAILED, target, found.values, evidence=found.evidence)
 
     def _steady(self, level: Level, line: str, now_s: float) -> str:
         """The line that is shown already, if the new one differs in numbers alone."""

@@ -31,4 +31,4 @@ class Lifecycle(RosCheck):
             return good(f"{node} is {state}", state=state)
         if found.unknown:
             raise api.CannotTell(f"state of {node} unknown: {found.words}")
-        return bad(f"{node}: {found.words}", found.short)
+        return replace(bad(f"{node}: {found.words}", found.short), unanswered=found.unanswered)

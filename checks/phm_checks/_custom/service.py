@@ -6,7 +6,7 @@ from phm import api
 from phm_checks._custom.base import Finding, bad, good
 from phm_checks._custom.ros import RosCheck
 from phm_checks._endpoint_matching import full
-from phm_checks._readiness import snapshot
+from phm_checks._readiness import NOT_LISTED, snapshot
 from phm_checks._text import clean, last, span
 
 POLL_S = 1.0
@@ -21,7 +21,10 @@ class Service(RosCheck):
         called = fact.calls.get(name, api.AnswerFact())
         if self.entry.call is not None and called.problem:
             raise api.CannotTell(f"service {name} cannot be called: {clean(called.problem)}")
-        if not (called.served if self.entry.call is not None else fact.services.get(name)):
+        count = called.served if self.entry.call is not None else fact.services.get(name, 0)
+        if count is None:
+            raise api.CannotTell(f"the servers of {name} are unknown: {NOT_LISTED}")
+        if not count:
             if fact.up_s < self.settings.ros.grace:
                 raise api.CannotTell(f"service {name} has no server yet")
             return bad(f"service {name} has no server", f"no {last(name)}")

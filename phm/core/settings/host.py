@@ -58,7 +58,7 @@ class HostSettings(Section):
     temperature_error: Celsius = 85.0
     """Degrees Celsius for ERROR."""
     clock_step: Annotated[Seconds, Field(gt=0)] = 2.0
-    """A jump of the UTC clock by more than this is a WARN."""
+    """A jump of the UTC clock by more than this is a WARN, unless it is set forward for the first time soon after boot."""
     unexpected_devices: UnexpectedDevicesSettings = UnexpectedDevicesSettings()
     """Devices of the host that are not in the configuration."""
     dev_root: AbsolutePath = "/dev"

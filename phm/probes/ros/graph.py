@@ -168,12 +168,14 @@ def _endpoint(info: Any) -> EndpointFact:
         type=printable(info.topic_type),
         type_hash=type_hash[:_HASH_SHOWN] if type_hash.startswith("RIHS") else "",
     )
-    if not quality_matters():
+    strict = quality_matters()
+    if not strict and info.endpoint_type.name != "PUBLISHER":
         return plain
+    kept = replace(plain, reliability=qos.reliability.name.lower(), durability=qos.durability.name.lower())
+    if not strict:
+        return kept
     return replace(
-        plain,
-        reliability=qos.reliability.name.lower(),
-        durability=qos.durability.name.lower(),
+        kept,
         deadline_s=_seconds(qos.deadline),
         liveliness=qos.liveliness.name.lower(),
         lease_s=_seconds(qos.liveliness_lease_duration),
@@ -184,7 +186,8 @@ def _endpoint(info: Any) -> EndpointFact:
 def quality_matters() -> bool:
     """Whether this middleware does not connect pairs with incompatible QoS, as DDS; Zenoh connects all.
 
-    If it connects all, endpoints are reported without QoS, so that no mismatch is found.
+    If it connects all, subscriptions are reported without QoS, so that no mismatch is found, and publishers with the policies that
+    show whether a topic is latched.
     """
     from rclpy.qos import QoSCompatibility, QoSProfile, QoSReliabilityPolicy, qos_check_compatible
 

@@ -166,7 +166,7 @@ class OtherTopics:
 class ReadinessUpdate:
     """Servers, lifecycle states and answers of what `Wanted` names, complete. See RosFact."""
 
-    services: Mapping[str, int] = field(default_factory=dict)
+    services: Mapping[str, int | None] = field(default_factory=dict)
     lifecycle: Mapping[str, AnswerFact] = field(default_factory=dict)
     calls: Mapping[str, AnswerFact] = field(default_factory=dict)
 

@@ -42,6 +42,7 @@ MAX_TEXT = 255
 FULL_S = 1.0
 """Time between two messages without a change."""
 _MISSING = "{0} is not installed beside PHM: install it where rclpy comes from (ros-<distro>-{1})"
+NOT_LISTED = "the ROS domain has a service whose name is not UTF-8, and ROS 2 Humble then lists none"
 
 Answer = tuple[str, str]
 """`AnswerFact.answer` and `.detail`."""
@@ -92,9 +93,10 @@ class RepeatedCall:
     def poll(self, now_s: float, rest_s: float) -> AnswerFact:
         """Read answers, and call again if the last call was `rest_s` ago."""
         passed_s, self._polled_s = min(STALL_S, now_s - self._polled_s), now_s
-        if not servers(self._node, self._service):
+        count = servers(self._node, self._service)
+        if not count and not (count is None and self._client.service_is_ready()):
             # A server that returns may be another process, so the old answer does not count.
-            self._called_s, self._fact = None, AnswerFact()
+            self._called_s, self._fact = None, AnswerFact(problem=NOT_LISTED if count is None else "")
             return self._fact
         answer = self._newest()
         if answer is not None:
@@ -143,16 +145,16 @@ class _Impossible:
         return self._fact
 
 
-def servers(node: Any, service: str) -> int:
-    """How often discovery lists a server of the service."""
+def servers(node: Any, service: str) -> int | None:
+    """How often discovery lists a server of the service; None: unknown."""
     count = getattr(node, "count_services", None)
     try:
         if count is not None:
             return int(count(service))
         # Humble
-        return sum(name == service for name, _ in node.get_service_names_and_types())
-    except Exception:  # a name that ROS refuses, or, in Humble, one of an unknown participant that is not UTF-8
-        return 0
+        return sum(1 for name, _ in node.get_service_names_and_types() if name == service)
+    except Exception:  # a name that ROS refuses, or, in Humble, one of another participant that is not UTF-8
+        return None if count is None else 0
 
 
 def _lifecycle(node: Any, name: str) -> RepeatedCall | _Impossible:

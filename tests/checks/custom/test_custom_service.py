@@ -44,6 +44,8 @@ def test_a_service_needs_a_server() -> None:
     assert (gone.level, gone.brief) == (api.Level.ERROR, "it no is_ready")
     with pytest.raises(api.CannotTell, match="has no server yet"):
         evaluate(service(), up_s=1.0)
+    with pytest.raises(api.CannotTell, match=r"servers of .* are unknown"):
+        evaluate(service(), services={SERVICE: None})
 
 
 @pytest.mark.parametrize(
@@ -89,6 +91,20 @@ def test_a_lifecycle_node_is_in_its_state(fact: api.AnswerFact, words: str) -> N
     result = evaluate(lifecycle(), lifecycle={NODE: fact})
     assert words in result.summary
     assert result.level is (api.Level.OK if "planner is active" in words else api.Level.ERROR)
+
+
+@pytest.mark.parametrize("container", ["app", "other"])
+def test_recovery_restarts_nothing_for_a_lifecycle_node_that_only_does_not_answer(container: str) -> None:
+    """It may be busy, as with `ready.lifecycle`; a wrong state was observed."""
+    check = lifecycle(recovery={"container": container})
+    busy = evaluate(check, lifecycle={NODE: api.AnswerFact("active", served=True, unanswered_s=9.0)})
+    assert (busy.level, busy.condition, busy.target) == (api.Level.ERROR, "custom_failed", "")
+    assert busy.summary.endswith("PHM restarts nothing for this: it may be busy")
+    wrong = evaluate(check, lifecycle={NODE: api.AnswerFact("inactive", served=True)})
+    assert (wrong.level, wrong.target) == (api.Level.ERROR, container)
+    assert "busy" not in wrong.summary
+    alone = evaluate(lifecycle(), lifecycle={NODE: api.AnswerFact("active", served=True, unanswered_s=9.0)})
+    assert "busy" not in alone.summary
 
 
 def test_another_state_may_be_expected_and_an_unknown_one_is_not_a_fault() -> None:

@@ -35,7 +35,8 @@ class Domain:
 
 
 def _info(node: str) -> Any:
-    return SimpleNamespace(node_name=node, node_namespace="/", topic_type="", qos_profile=None)
+    side = SimpleNamespace(name="SUBSCRIPTION")
+    return SimpleNamespace(node_name=node, node_namespace="/", topic_type="", endpoint_type=side, qos_profile=None)
 
 
 @pytest.mark.parametrize(
