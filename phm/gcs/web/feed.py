@@ -177,6 +177,7 @@ class StationFeed:
         now = event.at.mono
         del body["autopilots"]  # they are in the rows
         body["alarms_silent_until"] = self._alarms.silent_until(now)
+        body["alarms_left_out"] = self._alarms.left_out
         return body, {agent["name"]: self._row(agent, now) for agent in body.pop("agents")}
 
     def _row(self, agent: Mapping[str, Any], now: float) -> Json:
