@@ -27,6 +27,8 @@ MAX_BYTES, MAX_AGE_S = 200_000_000, 30 * 86_400.0
 MAX_WAITING = 50_000
 """Maximum number of rows that wait to be written."""
 MAX_SERIES = 20_000
+FEW, FEW_S = 10, 3600.0
+"""When there are too many series, those with fewer samples end after this time without one: a sender can invent any number of names."""
 SORTED = 50_000
 """About this many entries are sorted to find the oldest tenth."""
 COMMIT_S, PRUNE_S, RETRY_S, OPEN_S = 1.0, 60.0, 10.0, 2.0
@@ -57,6 +59,8 @@ DELETE = (
     "DELETE FROM event WHERE at <= ?",
     "DELETE FROM fault WHERE changed <= ?",
 )
+FORGET = "DELETE FROM sample WHERE series IN (SELECT series FROM sample GROUP BY series HAVING count(*) < ? AND max(at) <= ?)"
+UNUSED = "DELETE FROM series WHERE NOT EXISTS (SELECT 1 FROM sample WHERE series = series.id)"
 
 
 _UNUSABLE = (
@@ -117,7 +121,7 @@ class HistoryStore:
         self._prune_at = 0.0
         self._retry_at = float("-inf")
         self._stop, self._tried = threading.Event(), threading.Event()
-        self._unusable = self._asides = 0
+        self._unusable = self._asides = self._skipped = 0
         self._thread = threading.Thread(target=self._loop, name="phm-gcs-history", daemon=True)
 
     def start(self) -> None:
@@ -140,7 +144,8 @@ class HistoryStore:
         """A sentence while entries are missing, else empty."""
         dropped = self._queue.dropped + self._unusable
         lost = f"{dropped} entries of the history are missing" if dropped else ""
-        return "; ".join(filter(None, (self._problem, self._aside, lost)))
+        many = f"{self._skipped} samples are left out: the history has too many series" if self._skipped else ""
+        return "; ".join(filter(None, (self._problem, self._aside, lost, many)))
 
     def flush(self, limit_s: float) -> bool:
         """Wait until what was put is on disk."""
@@ -204,6 +209,9 @@ class HistoryStore:
             connection.close()
             raise
         self._connection = connection
+        self._load_series(connection)
+
+    def _load_series(self, connection: sqlite3.Connection) -> None:
         self._series = {(who, kind): key for key, who, kind in connection.execute("SELECT id, who, kind FROM series")}
 
     def _write(self, connection: sqlite3.Connection, rows: Iterable[HistorySample | HistoryRow]) -> None:
@@ -228,6 +236,7 @@ class HistoryStore:
         name = (row.who, row.kind)
         if name not in self._series:
             if len(self._series) >= MAX_SERIES:
+                self._skipped += 1
                 return None
             connection.execute("INSERT OR IGNORE INTO series (who, kind) VALUES (?, ?)", name)
             found = connection.execute("SELECT id FROM series WHERE who = ? AND kind = ?", name).fetchone()
@@ -243,8 +252,18 @@ class HistoryStore:
         while self._size(connection) > self._max_bytes and not self._stop.is_set():
             if not _delete(connection, _oldest(connection)):
                 break  # only the names of series are left
+        self._forget_series(connection)
         connection.execute("PRAGMA incremental_vacuum").fetchall()
         connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+
+    def _forget_series(self, connection: sqlite3.Connection) -> None:
+        """Names without samples make room for others."""
+        with connection:
+            if len(self._series) >= MAX_SERIES:
+                connection.execute(FORGET, (FEW, self._clock.utc() - FEW_S))
+            forgotten = connection.execute(UNUSED).rowcount
+        if forgotten:
+            self._load_series(connection)
 
     def _size(self, connection: sqlite3.Connection) -> int:
         pages = (
