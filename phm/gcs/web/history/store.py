@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import os
 import shutil
 import sqlite3
@@ -32,6 +33,11 @@ FEW, FEW_S = 10, 3600.0
 SORTED = 50_000
 """About this many entries are sorted to find the oldest tenth."""
 COMMIT_S, PRUNE_S, RETRY_S, OPEN_S = 1.0, 60.0, 10.0, 2.0
+SETTLE_S = 600.0
+"""In the first minutes of a run nothing is deleted for its age: a wrong clock may still be set, by network or GPS."""
+AHEAD_S = 86_400.0
+"""An entry that is stamped later than this from now on was written while the clock was wrong, or is: it counts as older than all others
+when the file is too large."""
 CLOSE_LIMIT_S = 5.0
 APPLICATION, VERSION = 0x50484D47, 1
 # In one transaction: a file that has the tables also says whose it is.
@@ -55,10 +61,11 @@ SAMPLE = "INSERT OR REPLACE INTO sample (series, at, value) VALUES (?, ?, ?)"
 EVENT = "INSERT INTO event (at, who, grade, event, words, body) VALUES (?, ?, ?, ?, ?, ?)"
 FAULT = "INSERT OR REPLACE INTO fault (key, who, at, changed, open, body) VALUES (?, ?, ?, ?, ?, ?)"
 DELETE = (
-    "DELETE FROM sample WHERE at <= ?",
-    "DELETE FROM event WHERE at <= ?",
-    "DELETE FROM fault WHERE changed <= ?",
+    "DELETE FROM sample WHERE at - (at > :ahead) * 1e12 <= :until",
+    "DELETE FROM event WHERE at - (at > :ahead) * 1e12 <= :until",
+    "DELETE FROM fault WHERE changed - (changed > :ahead) * 1e12 <= :until",
 )
+"""Entries that are stamped later than `ahead` come before all others, in their order."""
 FORGET = "DELETE FROM sample WHERE series IN (SELECT series FROM sample GROUP BY series HAVING count(*) < ? AND max(at) <= ?)"
 UNUSED = "DELETE FROM series WHERE NOT EXISTS (SELECT 1 FROM sample WHERE series = series.id)"
 
@@ -118,7 +125,9 @@ class HistoryStore:
         self._series: dict[tuple[str, str], int] = {}
         self._connection: sqlite3.Connection | None = None
         self._problem = self._aside = ""
-        self._prune_at = 0.0
+        self._began, self._prune_at = clock.mono(), 0.0
+        self._offset = clock.utc() - clock.mono()
+        """UTC minus monotonic seconds, the smallest of this run: by this clock nothing of this run is too old after a step."""
         self._retry_at = float("-inf")
         self._stop, self._tried = threading.Event(), threading.Event()
         self._unusable = self._asides = self._skipped = 0
@@ -169,6 +178,7 @@ class HistoryStore:
         last = False
         while not last:
             last = self._stop.is_set()
+            self._offset = min(self._offset, self._clock.utc() - self._clock.mono())
             try:
                 if self._connection is None and (last or self._clock.mono() >= self._retry_at):
                     self._open()
@@ -248,9 +258,11 @@ class HistoryStore:
         if self._clock.mono() < self._prune_at and self._size(connection) <= self._max_bytes:
             return
         self._prune_at = self._clock.mono() + PRUNE_S
-        _delete(connection, self._clock.utc() - self._max_age_s)
+        if self._clock.mono() - self._began >= SETTLE_S:
+            _delete(connection, self._clock.mono() + self._offset - self._max_age_s)
         while self._size(connection) > self._max_bytes and not self._stop.is_set():
-            if not _delete(connection, _oldest(connection)):
+            ahead = self._clock.utc() + AHEAD_S
+            if not _delete(connection, _oldest(connection, ahead), ahead):
                 break  # only the names of series are left
         self._forget_series(connection)
         connection.execute("PRAGMA incremental_vacuum").fetchall()
@@ -260,7 +272,7 @@ class HistoryStore:
         """Names without samples make room for others."""
         with connection:
             if len(self._series) >= MAX_SERIES:
-                connection.execute(FORGET, (FEW, self._clock.utc() - FEW_S))
+                connection.execute(FORGET, (FEW, self._clock.mono() + self._offset - FEW_S))
             forgotten = connection.execute(UNUSED).rowcount
         if forgotten:
             self._load_series(connection)
@@ -304,8 +316,8 @@ class HistoryStore:
         self._series = {}
 
 
-def _oldest(connection: sqlite3.Connection) -> float:
-    """The moment until which the oldest tenth of the entries goes.
+def _oldest(connection: sqlite3.Connection, ahead: float) -> float:
+    """The moment until which the oldest tenth of the entries goes. ahead: as in DELETE.
 
     Of many entries it is an estimate from a random selection: to sort millions of them takes seconds, in which nothing is written.
     """
@@ -314,18 +326,19 @@ def _oldest(connection: sqlite3.Connection) -> float:
     ).fetchone()[0]
     one_of = max(1, entries // SORTED)
     found = connection.execute(
-        "SELECT at FROM (SELECT at FROM sample WHERE random() % :one_of = 0 UNION ALL SELECT at FROM event "
+        "SELECT at - (at > :ahead) * 1e12 AS at FROM ("
+        "SELECT at FROM sample WHERE random() % :one_of = 0 UNION ALL SELECT at FROM event "
         "WHERE random() % :one_of = 0 UNION ALL SELECT changed FROM fault WHERE random() % :one_of = 0) "
         "ORDER BY at LIMIT 1 OFFSET :place",
-        {"one_of": one_of, "place": entries // one_of // 10},
+        {"one_of": one_of, "place": entries // one_of // 10, "ahead": ahead},
     ).fetchone()
     return float("-inf") if found is None else float(found[0])
 
 
-def _delete(connection: sqlite3.Connection, until: float) -> int:
-    """Delete the entries until this moment; their number."""
+def _delete(connection: sqlite3.Connection, until: float, ahead: float = math.inf) -> int:
+    """Delete the entries until this moment; their number. ahead: as in DELETE."""
     with connection:
-        return sum(connection.execute(statement, (until,)).rowcount for statement in DELETE)
+        return sum(connection.execute(statement, {"until": until, "ahead": ahead}).rowcount for statement in DELETE)
 
 
 def _check_owner(connection: sqlite3.Connection) -> None:

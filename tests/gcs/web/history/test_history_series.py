@@ -29,6 +29,7 @@ def store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> HistoryStore:
     """With room for three series; it deletes what is too old without waiting."""
     monkeypatch.setattr(f"{STORE}.MAX_SERIES", 3)
     monkeypatch.setattr(f"{STORE}.PRUNE_S", 0.0)
+    monkeypatch.setattr(f"{STORE}.SETTLE_S", 0.0)
     monkeypatch.setattr(f"{STORE}.COMMIT_S", 0.01)
     return HistoryStore(tmp_path / "history.db", SystemClock())
 
