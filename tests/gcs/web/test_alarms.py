@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 
 from phm.core.model import Stamp
+from phm.gcs.alarms import MAX_AGENTS
 from phm.gcs.events import GcsEvent
-from phm.gcs.web.alarms import MAX_AGENTS, AlarmList
+from phm.gcs.web.alarms import AlarmList
 
 
 @pytest.fixture
