@@ -1,6 +1,7 @@
 """The agents that the ground knows, and the state of all at one moment. Pure; the caller brings time.
 
-Everything is capped: a sender can invent any number of agents. A lost agent makes room for a new one, unless it is expected.
+Everything is capped: a sender can invent any number of agents. A lost agent makes room for a new one, unless it is expected; of
+several, the one that was received for the shortest time.
 """
 
 from __future__ import annotations
@@ -93,7 +94,9 @@ class Fleet:
         """The known agent or a new one; None: there is no room."""
         key = (system, component)
         if key not in self.agents:
-            if now < self._full_until or not _room(self.agents, MAX_AGENTS, lambda one: self._stays(one, now)):
+            if now < self._full_until or not _room(
+                self.agents, MAX_AGENTS, lambda one: self._stays(one, now), _received_s
+            ):
                 self._full_until = self._full_until if now < self._full_until else now + FULL_S
                 self.refused += 1
                 return None
@@ -192,11 +195,18 @@ class FleetSnapshot:
         return agent.view if self._now - agent.view_at.mono <= longest_s else None
 
 
-def _room(held: dict[K, V], most: int, stays: Callable[[V], bool]) -> bool:
-    """Whether there is room for one more, also by removing one that need not stay."""
+def _received_s(agent: Agent) -> float:
+    """How long it was received. An agent of which only others report: 0."""
+    return 0.0 if agent.first is None or agent.last is None else agent.last.mono - agent.first.mono
+
+
+def _room(
+    held: dict[K, V], most: int, stays: Callable[[V], bool], worth: Callable[[V], float] = lambda one: 0.0
+) -> bool:
+    """Whether there is room for one more, also by removing one that need not stay, the one with the least worth."""
     if len(held) < most:
         return True
-    gone = next((key for key, one in held.items() if not stays(one)), None)
+    gone = min((key for key, one in held.items() if not stays(one)), key=lambda key: worth(held[key]), default=None)
     if gone is None:
         return False
     del held[gone]

@@ -41,7 +41,7 @@ class LiveView:
         self._lines: deque[tuple[float, str]] = deque(maxlen=KEPT_LINES)
         self._answers: deque[tuple[float, str]] = deque(maxlen=KEPT_ANSWERS)
         self._exchanges: list[Exchange] = []
-        self._alarms = Alarms()
+        self._alarms = Alarms(station.expected)
         self._selected = ""
         self._menu: OperatorCommand | None = None
         """The chosen command of the menu; None: it is closed."""

@@ -22,6 +22,8 @@ from phm.wire.command import CommandResult
 from phm.wire.metrics_page import Labels, MetricsPage, ratio
 
 MAX_SERIES = MAX_AGENTS * len(Slot)
+MAX_GAPS = MAX_SERIES - 2 * MAX_AGENTS
+"""Agents whose losses are counted; the others are for the agents of the snapshot."""
 _THERE = (PresenceState.ALIVE.value, PresenceState.LATE.value)
 _RADIO_SIDES = (("rssi", "noise", "local"), ("remrssi", "remnoise", "remote"))
 
@@ -54,8 +56,11 @@ class _Counts(SubscriberQueue):
                 self.texts[(severity_name(body["severity"]).lower(),)] += 1
             elif event == "presence" and body["presence"] == PresenceState.LOST.value:
                 key = (str(body["name"]), PresenceState.LOST.value)
-                if key in self.gaps or len(self.gaps) < MAX_SERIES:  # a sender can invent any number of agents
-                    self.gaps[key] += 1
+                count = self.gaps.pop(key, 0) + 1
+                # A sender can invent any number of agents: those that were lost last count.
+                if len(self.gaps) >= MAX_GAPS:
+                    del self.gaps[next(iter(self.gaps))]
+                self.gaps[key] = count
             elif event == "ack":
                 self.answers[(str(body["result"]).lower(),)] += 1
         return True

@@ -32,6 +32,7 @@ class Samples:
 
     def __init__(self) -> None:
         self._received_s: dict[str, float] = {}
+        """Monotonic seconds of the last heartbeat, the one that has been silent for the longest time first."""
         self._values: SeriesValues = {}
         self._count = 0
         self._due_s = 0.0
@@ -60,9 +61,9 @@ class Samples:
         return found
 
     def _heartbeat(self, name: str, mono_s: float) -> None:
-        before = self._received_s.get(name)
+        before = self._received_s.pop(name, None)
         if before is None and len(self._received_s) >= MAX_SENDERS:
-            return
+            del self._received_s[next(iter(self._received_s))]  # a sender can invent any number of names
         self._received_s[name] = mono_s
         gap_s = 0.0 if before is None else round(mono_s - before, 3)
         if gap_s > COPY_S:

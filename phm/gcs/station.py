@@ -32,6 +32,7 @@ from phm.reporters.received_heartbeats import ReceivedHeartbeats
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
 from phm.wire.gcs_marker import MONITOR
+from phm.wire.status_line import agent_name
 
 logger = logging.getLogger(__name__)
 
@@ -85,6 +86,8 @@ class GroundStation:
         self._signed = signed
         """Unsigned frames are not PHM's."""
         self._store, self._hub = FleetState(expected, self.ids, signed=signed), MavlinkHub(settings, system, clock)
+        self.expected = frozenset(agent_name(number) for number in self._store.fleet.expected)
+        """Names of the agents that are reported as missing even if never received."""
         self._filter = IngressFilter()
         self._frames: BoundedQueue[Received] = BoundedQueue(clock, MAX_WAITING, refuse_new=True)
         self._queues: tuple[SubscriberQueue, ...] = ()

@@ -57,10 +57,12 @@ class ReceivedHeartbeats:
         sender, now_s = (system, component), self._clock.mono()
         with self._lock:
             last = self._newest.get(sender)
-            if (last is not None and last[0] == number and now_s - last[1] < AGAIN_S) or (
-                last is None and len(self._newest) >= MOST_SENDERS
-            ):
+            if last is not None and last[0] == number and now_s - last[1] < AGAIN_S:
                 return
+            self._newest.pop(sender, None)
+            # Anybody can invent senders: those that were silent for the longest time make room.
+            if len(self._newest) >= MOST_SENDERS:
+                del self._newest[next(iter(self._newest))]
             self._newest[sender] = number, now_s
             self._frames.append((*sender, number, round(now_s, 3)))
             del self._frames[:-MOST]

@@ -272,6 +272,19 @@ def test_forged_agents_do_not_displace_real_ones() -> None:
     assert ground.agent(100)["presence"] == "never received"
 
 
+def test_forged_agents_do_not_displace_a_lost_one() -> None:
+    """Of those no longer received, those that were received for the shortest time make room: the operator must see the others as lost."""
+    ground = Ground()
+    ground.receive(phm_heartbeat(7))
+    ground.wait(4.0, phm_heartbeat(7))
+    for component in range(200, 206):
+        ground.receive(*(phm_heartbeat(number, component=component) for number in range(1, 251)))
+        ground.clock.advance(300)
+    ground.receive(phm_heartbeat(8))
+    assert (ground.agent(7)["how"], ground.agent(8)["how"]) == ("LOST", "OK")
+    assert len(ground.snapshot()["agents"]) == 512
+
+
 def test_memory_is_bounded(ground: Ground) -> None:
     """The number of stored lines, fault numbers and ground stations has a limit."""
     ground.receive(phm_heartbeat(7, dict.fromkeys(Slot, Level.ERROR)))

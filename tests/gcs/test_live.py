@@ -23,6 +23,7 @@ class Station:
 
     def __init__(self) -> None:
         self.ground, self.silent, self.sent = Ground(), False, list[tuple[int, str, int]]()
+        self.expected = frozenset[str]()
         self._queues: list[SubscriberQueue] = []
 
     def subscribe(self, queue: SubscriberQueue) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from phm.core.model import Level, Slot, Stamp
 from phm.gcs import operator
-from phm.gcs.alarms import Alarms
+from phm.gcs.alarms import MAX_AGENTS, SHOWN, Alarms
 from phm.gcs.events import GcsEvent
 from phm.gcs.frames import CommandAck
 from phm.gcs.operator import ATTEMPTS, REPLY_S, RESEND_S, Exchange
@@ -205,5 +205,20 @@ def test_a_critical_line_is_an_alarm_until_it_is_acknowledged(ground: Ground) ->
     news = ground.receive(*lines)
     assert [alarms.take(event, "A07") for event in news] == [True, False, False, False]
     assert alarms.text() == "1 new CRITICAL: A07   a: acknowledge"
+    alarms.acknowledge()
+    assert alarms.text() == ""
+
+
+def test_the_alarms_of_a_flood_are_limited_and_those_of_expected_agents_stay(ground: Ground) -> None:
+    """The line names them first, and counts the others."""
+    alarms = Alarms(["A07", "A08"])
+    (event,) = (one for one in ground.receive(text_frame(7, "A07 FAIL 6 node_1 dead")) if one.event == "text")
+    names = ["A07", *(f"A250/{number}" for number in range(MAX_AGENTS)), "A08"]
+    assert all(alarms.take(event, name) for name in names)
+    assert len(alarms.names) == MAX_AGENTS and {"A07", "A08"} <= alarms.names.keys()
+    head, _, rest = alarms.text().partition(": ")
+    assert head == f"{len(names)} new CRITICAL"
+    assert rest.startswith("A07 A08 A250/2 ")
+    assert rest.endswith(f" and {len(names) - SHOWN} more   a: acknowledge")
     alarms.acknowledge()
     assert alarms.text() == ""

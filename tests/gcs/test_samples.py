@@ -92,14 +92,15 @@ def test_a_defect_in_samples_does_not_end_the_record(
 
 
 def test_senders_and_series_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Names come from the air, so their number is limited; those that are known go on."""
+    """Names come from the air, so their number is limited: a new one takes the place of the one that was silent for the longest time."""
     monkeypatch.setattr(module, "MAX_SERIES", 3)
     monkeypatch.setattr(module, "MAX_SENDERS", 2)
     made = Samples()
-    for at in (0.0, 1.0):
-        add(made, at, *(phm_heartbeat(number) for number in (1, 2, 3)))
-    add(made, 1.0, *(NamedValue(1, 193, f"t{number}", 1.0) for number in range(10)), NamedValue(1, 193, "t0", 2.0))
-    assert made.take(1.0) == {"A01": {"gap": 1.0, "topic t0": 2.0}, "A02": {"gap": 1.0}}
+    add(made, 0.0, *(phm_heartbeat(number) for number in (1, 2)))
+    add(made, 1.0, *(phm_heartbeat(number) for number in (1, 3)))
+    add(made, 2.0, *(phm_heartbeat(number) for number in (1, 3)), NamedValue(2, 193, "t0", 1.0))
+    add(made, 2.0, *(NamedValue(1, 193, f"t{number}", 1.0) for number in range(10)), NamedValue(1, 193, "t0", 2.0))
+    assert made.take(2.0) == {"A01": {"gap": 1.0, "topic t0": 2.0}, "A03": {"gap": 1.0}}
 
 
 @pytest.fixture

@@ -72,7 +72,7 @@ def test_with_a_key_unsigned_measurements_are_not_the_agents(
 
 
 def test_the_load_of_another_component_is_not_the_agents() -> None:
-    """An autopilot or a camera of the same vehicle may send it, too. The number of senders is limited."""
+    """An autopilot or a camera of the same vehicle may send it, too. The number of senders is limited: the newest count."""
     feed = StationFeed(station(), View(SystemClock()), SystemClock(), cast(Any, None))
     feed._frame(received(ComputerStatus(7, 100, 99, None, None), b""))
     assert feed._values.get("A07", {}) == {}
@@ -81,4 +81,7 @@ def test_the_load_of_another_component_is_not_the_agents() -> None:
     for component in range(1, 251):
         for system in range(1, 11):
             feed._frame(received(ComputerStatus(system, component, 1, None, None), b""))
+        feed._frame(received(ComputerStatus(7, 193, 41, None, None), b""))
+    feed._frame(received(ComputerStatus(8, 193, 50, None, None), b""))
     assert len(feed._values) == MAX_SENDERS
+    assert (feed._values["A07"]["cpu"], feed._values["A08"]["cpu"]) == (41, 50)

@@ -12,7 +12,7 @@ from phm.core.model import Level, Slot
 from phm.gcs import metrics_catalog
 from phm.gcs.events import GcsEvent
 from phm.gcs.frames import POWEROFF
-from phm.gcs.metrics import MAX_SERIES, GroundMetrics
+from phm.gcs.metrics import MAX_GAPS, GroundMetrics
 from phm.gcs.web.routes import metrics as routes
 from phm.testing import FakeClock
 from phm.wire.metrics_page import MetricsPage
@@ -110,19 +110,26 @@ def test_pauses_of_the_heartbeats_are_counted() -> None:
 
 
 def test_invented_agents_cost_no_more_than_the_limit() -> None:
-    """Any number of names may come and go; those that were known first are counted further."""
+    """Any number of names may come and go; those that were lost last are counted, and there is room for the agents that are there."""
     fleet = Fleet()
     station = Station(fleet)
     metrics = GroundMetrics(station, FakeClock())
+    fleet.receive(phm_heartbeat(5))
     lost = [
-        GcsEvent(fleet.clock.stamp(), "presence", {"name": f"A{number}", "presence": "lost"})
-        for number in (*range(MAX_SERIES + 10), 0)
+        GcsEvent(fleet.clock.stamp(), "presence", {"name": name, "presence": "lost"})
+        for name in ("A07", *(f"A250/{number}" for number in range(MAX_GAPS - 1)), "A07", "A249", "A05")
     ]
     station.publish(*lost)
     text = MetricsText(metrics.page).render("text/plain")[0].decode()
     found = [line for line in text.splitlines() if line.startswith("phm_gcs_agent_gaps_total{")]
-    assert len(found) == MAX_SERIES
-    assert found[0] == 'phm_gcs_agent_gaps_total{agent="A0",presence="lost"} 2.0'
+    assert len(found) == MAX_GAPS + 1
+    for line in (
+        'agent="A07",presence="lost"} 2.0',
+        'agent="A05",presence="lost"} 1.0',
+        'agent="A05",presence="late"} 0.0',
+    ):
+        assert f"phm_gcs_agent_gaps_total{{{line}" in found
+    assert 'phm_gcs_agent_gaps_total{agent="A250/0",presence="lost"} 1.0' not in found
 
 
 def test_promtool_accepts_the_page() -> None:

@@ -85,3 +85,15 @@ def test_without_links_nothing_is_received() -> None:
     received = ReceivedHeartbeats(None, clock)
     clock.advance(WRITE_S)
     assert received.take() == []
+
+
+def test_after_a_flood_new_senders_are_logged() -> None:
+    """They take the places of those that were silent for the longest time."""
+    bench = Bench()
+    bench.receive(0, 7, 193)
+    for component in range(MOST_SENDERS):
+        bench.receive(0, 250, component)
+    bench.clock.advance(AGAIN_S)
+    bench.take()
+    bench.receive(EACH, 8, 193)
+    assert [frame[:3] for frame in bench.take()] == [(8, 193, EACH)]

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from phm.gcs.alarms import CRITICAL
+from phm.gcs.alarms import CRITICAL, MAX_AGENTS
 from phm.gcs.events import GcsEvent
 
 SHORTEST_S, LONGEST_S = 1.0, 24 * 3600.0
-MAX_AGENTS = 600
 
 
 @dataclass(slots=True)
@@ -26,8 +25,12 @@ class _Alarm:
 class AlarmList:
     """Holds the alarm of each agent, by its name."""
 
-    def __init__(self) -> None:
+    def __init__(self, expected: Iterable[str] = ()) -> None:
+        """expected: names of agents whose alarms are kept, however many others there are."""
+        self._expected = frozenset(expected)
         self._alarms: dict[str, _Alarm] = {}
+        self.left_out = 0
+        """Alarms for which there was no room, until all are acknowledged."""
         self._all_silent_until = 0.0
         self._lock = threading.Lock()
         self.changed: set[str] = set()
@@ -39,9 +42,7 @@ class AlarmList:
         if event.event != "text" or not body["phm"] or body["repeat"] or body["severity"] > CRITICAL or not name:
             return
         with self._lock:
-            if name not in self._alarms and len(self._alarms) >= MAX_AGENTS:
-                return
-            alarm = self._alarms.setdefault(name, _Alarm())
+            alarm = self._place(name, event.at.mono)
             alarm.at = event.at.mono if not alarm.count else alarm.at
             alarm.count += 1
             self.changed.add(name)
@@ -54,7 +55,12 @@ class AlarmList:
             if not alarm.count and until <= now:
                 return None
             silent = round(until, 2) if until > now else None
-            return {"count": alarm.count, "at": round(alarm.at, 2) if alarm.count else None, "silent_until": silent}
+            return {
+                "count": alarm.count,
+                "at": round(alarm.at, 2) if alarm.count else None,
+                "silent_until": silent,
+                "expected": name in self._expected,
+            }
 
     def silent_until(self, now: float) -> float | None:
         """Until when all agents are silenced; None: they are not. The silence of one agent is in its row alone."""
@@ -76,23 +82,36 @@ class AlarmList:
             if what == "acknowledge":
                 for alarm in self._chosen(name):
                     alarm.count = 0
+                self.left_out = 0 if name is None else self.left_out
             else:
-                self._silence(name, now + float(for_s or 0.0) if what == "silence" else 0.0)
+                self._silence(name, now + float(for_s or 0.0) if what == "silence" else 0.0, now)
             self.changed.add(name or "")
 
     def clear(self) -> None:
         """Forget all alarms, because the time has jumped."""
         with self._lock:
             self._alarms.clear()
-            self._all_silent_until = 0.0
+            self._all_silent_until, self.left_out = 0.0, 0
 
     def _chosen(self, name: str | None) -> list[_Alarm]:
         return [alarm for known, alarm in self._alarms.items() if name in (None, known)]
 
-    def _silence(self, name: str | None, until: float) -> None:
+    def _place(self, name: str, now: float) -> _Alarm:
+        """The alarm of an agent. For a new one without room another goes: one that says nothing any more, else one of an agent that is
+        not expected, since a sender can invent any number of agents; of these the oldest."""
+        if name not in self._alarms and len(self._alarms) >= MAX_AGENTS:
+
+            def rank(held: str) -> tuple[bool, bool, float]:
+                alarm = self._alarms[held]
+                return alarm.count > 0 or alarm.silent_until > now, held in self._expected, alarm.at
+
+            self.left_out += self._alarms.pop(min(self._alarms, key=rank)).count > 0
+        return self._alarms.setdefault(name, _Alarm())
+
+    def _silence(self, name: str | None, until: float, now: float) -> None:
         if name is None:
             self._all_silent_until = until
             for alarm in self._alarms.values():
                 alarm.silent_until = 0.0 if not until else alarm.silent_until
-        elif name in self._alarms or len(self._alarms) < MAX_AGENTS:
-            self._alarms.setdefault(name, _Alarm()).silent_until = until
+        else:
+            self._place(name, now).silent_until = until

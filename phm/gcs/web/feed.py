@@ -76,7 +76,7 @@ class StationFeed:
         self._frames: BoundedQueue[Received] = BoundedQueue(clock, MAX_FRAMES)
         self._dirty: set[int] = set()
         self._values: dict[str, Json] = {}
-        """By the name of the agent."""
+        """By the name of the agent, the one that has been silent for the longest time first."""
         self._all_at = float("-inf")
         self.ground: Callable[[], Json] = dict
         """Returns further keys of the ground's state."""
@@ -151,8 +151,9 @@ class StationFeed:
             self._dirty.add(frame.system)
         if isinstance(frame, ComputerStatus):
             name = sender_name(frame.system, frame.component)
-            if name in self._values or len(self._values) < MAX_SENDERS:
-                self._values[name] = {**frame.values(), "at": round(received.at.mono, 2)}
+            if self._values.pop(name, None) is None and len(self._values) >= MAX_SENDERS:
+                del self._values[next(iter(self._values))]  # a sender can invent any number of names
+            self._values[name] = {**frame.values(), "at": round(received.at.mono, 2)}
         for listener in self._listeners:
             listener.frame(received)
 
@@ -177,6 +178,7 @@ class StationFeed:
         now = event.at.mono
         del body["autopilots"]  # they are in the rows
         body["alarms_silent_until"] = self._alarms.silent_until(now)
+        body["alarms_left_out"] = self._alarms.left_out
         return body, {agent["name"]: self._row(agent, now) for agent in body.pop("agents")}
 
     def _row(self, agent: Mapping[str, Any], now: float) -> Json:

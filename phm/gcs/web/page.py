@@ -35,7 +35,7 @@ class GroundPage:
         history: Path | None = None,
         extra: Mapping[str, object] | None = None,
     ) -> None:
-        self._view, alarms = View(clock), AlarmList()
+        self._view, alarms = View(clock), AlarmList(station.expected)
         handler = RequestHandler(station, self._view, clock)
         self._store = HistoryStore(history, clock)
         reader = HistoryReader(self._store.path)

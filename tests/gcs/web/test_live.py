@@ -69,7 +69,7 @@ def test_a_silence_of_all_is_in_the_state_of_the_ground(here: Ground) -> None:
     live, client = here.live(), here.client()
     client.session()
     until(lambda: "alarms_silent_until" in live.state.get("ground", {}), "the state")
-    assert live.state["ground"]["alarms_silent_until"] is None
+    assert (live.state["ground"]["alarms_silent_until"], live.state["ground"]["alarms_left_out"]) == (None, 0)
     client.post("/api/alarms", {"do": "silence", "agent": None, "for_s": 600})
     until(lambda: live.state["ground"]["alarms_silent_until"], "the silence")
     client.post("/api/alarms", {"do": "unsilence", "agent": None})

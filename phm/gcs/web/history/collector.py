@@ -31,6 +31,7 @@ class Collector:
     def __init__(self, store: HistoryStore, book: FaultList) -> None:
         self._store, self._book = store, book
         self._received: dict[str, float] = {}
+        """Monotonic seconds of the last heartbeat by agent, the one that has been silent for the longest time first."""
         self._levels: dict[str, tuple[int, float]] = {}
         self._frames: dict[int, int] = {}
         self._agents: dict[int, set[str]] = {}
@@ -81,13 +82,21 @@ class Collector:
     def _beat(self, beat: Heartbeat, mono: float, utc: float) -> None:
         name = sender_name(beat.system, beat.component)
         if name not in self._received and len(self._received) >= MAX_SENDERS:
-            return
+            self._forget(next(iter(self._received)))
         self._agents.setdefault(beat.system, set()).add(name)
-        gap_s = mono - self._received.get(name, mono)
+        gap_s = mono - self._received.pop(name, mono)
         if gap_s > COPY_S:
             self._store.put(HistorySample(name, GAP, utc, round(gap_s, 3)))
         self._received[name] = mono
         self.level(name, beat.custom_mode, mono, utc)
+
+    def _forget(self, name: str) -> None:
+        """Make room for another agent."""
+        del self._received[name]
+        self._levels.pop(name, None)
+        self._topics.pop(name, None)
+        for names in self._agents.values():
+            names.discard(name)
 
     def level(self, name: str, word: int, mono: float, utc: float) -> None:
         """Store the worst level of an agent's status word."""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import os
 import shutil
 import sqlite3
@@ -27,9 +28,16 @@ MAX_BYTES, MAX_AGE_S = 200_000_000, 30 * 86_400.0
 MAX_WAITING = 50_000
 """Maximum number of rows that wait to be written."""
 MAX_SERIES = 20_000
+FEW, FEW_S = 10, 3600.0
+"""When there are too many series, those with fewer samples end after this time without one: a sender can invent any number of names."""
 SORTED = 50_000
 """About this many entries are sorted to find the oldest tenth."""
 COMMIT_S, PRUNE_S, RETRY_S, OPEN_S = 1.0, 60.0, 10.0, 2.0
+SETTLE_S = 600.0
+"""In the first minutes of a run nothing is deleted for its age: a wrong clock may still be set, by network or GPS."""
+AHEAD_S = 86_400.0
+"""An entry that is stamped later than this from now on was written while the clock was wrong, or is: it counts as older than all others
+when the file is too large."""
 CLOSE_LIMIT_S = 5.0
 APPLICATION, VERSION = 0x50484D47, 1
 # In one transaction: a file that has the tables also says whose it is.
@@ -53,10 +61,13 @@ SAMPLE = "INSERT OR REPLACE INTO sample (series, at, value) VALUES (?, ?, ?)"
 EVENT = "INSERT INTO event (at, who, grade, event, words, body) VALUES (?, ?, ?, ?, ?, ?)"
 FAULT = "INSERT OR REPLACE INTO fault (key, who, at, changed, open, body) VALUES (?, ?, ?, ?, ?, ?)"
 DELETE = (
-    "DELETE FROM sample WHERE at <= ?",
-    "DELETE FROM event WHERE at <= ?",
-    "DELETE FROM fault WHERE changed <= ?",
+    "DELETE FROM sample WHERE at - (at > :ahead) * 1e12 <= :until",
+    "DELETE FROM event WHERE at - (at > :ahead) * 1e12 <= :until",
+    "DELETE FROM fault WHERE changed - (changed > :ahead) * 1e12 <= :until",
 )
+"""Entries that are stamped later than `ahead` come before all others, in their order."""
+FORGET = "DELETE FROM sample WHERE series IN (SELECT series FROM sample GROUP BY series HAVING count(*) < ? AND max(at) <= ?)"
+UNUSED = "DELETE FROM series WHERE NOT EXISTS (SELECT 1 FROM sample WHERE series = series.id)"
 
 
 _UNUSABLE = (
@@ -114,10 +125,12 @@ class HistoryStore:
         self._series: dict[tuple[str, str], int] = {}
         self._connection: sqlite3.Connection | None = None
         self._problem = self._aside = ""
-        self._prune_at = 0.0
+        self._began, self._prune_at = clock.mono(), 0.0
+        self._offset = clock.utc() - clock.mono()
+        """UTC minus monotonic seconds, the smallest of this run: by this clock nothing of this run is too old after a step."""
         self._retry_at = float("-inf")
         self._stop, self._tried = threading.Event(), threading.Event()
-        self._unusable = self._asides = 0
+        self._unusable = self._asides = self._skipped = 0
         self._thread = threading.Thread(target=self._loop, name="phm-gcs-history", daemon=True)
 
     def start(self) -> None:
@@ -140,7 +153,8 @@ class HistoryStore:
         """A sentence while entries are missing, else empty."""
         dropped = self._queue.dropped + self._unusable
         lost = f"{dropped} entries of the history are missing" if dropped else ""
-        return "; ".join(filter(None, (self._problem, self._aside, lost)))
+        many = f"{self._skipped} samples are left out: the history has too many series" if self._skipped else ""
+        return "; ".join(filter(None, (self._problem, self._aside, lost, many)))
 
     def flush(self, limit_s: float) -> bool:
         """Wait until what was put is on disk."""
@@ -164,6 +178,7 @@ class HistoryStore:
         last = False
         while not last:
             last = self._stop.is_set()
+            self._offset = min(self._offset, self._clock.utc() - self._clock.mono())
             try:
                 if self._connection is None and (last or self._clock.mono() >= self._retry_at):
                     self._open()
@@ -204,6 +219,9 @@ class HistoryStore:
             connection.close()
             raise
         self._connection = connection
+        self._load_series(connection)
+
+    def _load_series(self, connection: sqlite3.Connection) -> None:
         self._series = {(who, kind): key for key, who, kind in connection.execute("SELECT id, who, kind FROM series")}
 
     def _write(self, connection: sqlite3.Connection, rows: Iterable[HistorySample | HistoryRow]) -> None:
@@ -228,6 +246,7 @@ class HistoryStore:
         name = (row.who, row.kind)
         if name not in self._series:
             if len(self._series) >= MAX_SERIES:
+                self._skipped += 1
                 return None
             connection.execute("INSERT OR IGNORE INTO series (who, kind) VALUES (?, ?)", name)
             found = connection.execute("SELECT id FROM series WHERE who = ? AND kind = ?", name).fetchone()
@@ -239,12 +258,24 @@ class HistoryStore:
         if self._clock.mono() < self._prune_at and self._size(connection) <= self._max_bytes:
             return
         self._prune_at = self._clock.mono() + PRUNE_S
-        _delete(connection, self._clock.utc() - self._max_age_s)
+        if self._clock.mono() - self._began >= SETTLE_S:
+            _delete(connection, self._clock.mono() + self._offset - self._max_age_s)
         while self._size(connection) > self._max_bytes and not self._stop.is_set():
-            if not _delete(connection, _oldest(connection)):
+            ahead = self._clock.utc() + AHEAD_S
+            if not _delete(connection, _oldest(connection, ahead), ahead):
                 break  # only the names of series are left
+        self._forget_series(connection)
         connection.execute("PRAGMA incremental_vacuum").fetchall()
         connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchall()
+
+    def _forget_series(self, connection: sqlite3.Connection) -> None:
+        """Names without samples make room for others."""
+        with connection:
+            if len(self._series) >= MAX_SERIES:
+                connection.execute(FORGET, (FEW, self._clock.mono() + self._offset - FEW_S))
+            forgotten = connection.execute(UNUSED).rowcount
+        if forgotten:
+            self._load_series(connection)
 
     def _size(self, connection: sqlite3.Connection) -> int:
         pages = (
@@ -285,8 +316,8 @@ class HistoryStore:
         self._series = {}
 
 
-def _oldest(connection: sqlite3.Connection) -> float:
-    """The moment until which the oldest tenth of the entries goes.
+def _oldest(connection: sqlite3.Connection, ahead: float) -> float:
+    """The moment until which the oldest tenth of the entries goes. ahead: as in DELETE.
 
     Of many entries it is an estimate from a random selection: to sort millions of them takes seconds, in which nothing is written.
     """
@@ -295,18 +326,19 @@ def _oldest(connection: sqlite3.Connection) -> float:
     ).fetchone()[0]
     one_of = max(1, entries // SORTED)
     found = connection.execute(
-        "SELECT at FROM (SELECT at FROM sample WHERE random() % :one_of = 0 UNION ALL SELECT at FROM event "
+        "SELECT at - (at > :ahead) * 1e12 AS at FROM ("
+        "SELECT at FROM sample WHERE random() % :one_of = 0 UNION ALL SELECT at FROM event "
         "WHERE random() % :one_of = 0 UNION ALL SELECT changed FROM fault WHERE random() % :one_of = 0) "
         "ORDER BY at LIMIT 1 OFFSET :place",
-        {"one_of": one_of, "place": entries // one_of // 10},
+        {"one_of": one_of, "place": entries // one_of // 10, "ahead": ahead},
     ).fetchone()
     return float("-inf") if found is None else float(found[0])
 
 
-def _delete(connection: sqlite3.Connection, until: float) -> int:
-    """Delete the entries until this moment; their number."""
+def _delete(connection: sqlite3.Connection, until: float, ahead: float = math.inf) -> int:
+    """Delete the entries until this moment; their number. ahead: as in DELETE."""
     with connection:
-        return sum(connection.execute(statement, (until,)).rowcount for statement in DELETE)
+        return sum(connection.execute(statement, {"until": until, "ahead": ahead}).rowcount for statement in DELETE)
 
 
 def _check_owner(connection: sqlite3.Connection) -> None:

@@ -93,3 +93,75 @@ def test_what_was_written_survives_a_power_cut(tmp_path: Path, monkeypatch: pyte
     assert store.flush(120)
     assert opened[0].execute("PRAGMA synchronous").fetchone() == (2,)
     store.close()
+
+
+class SteppedClock(SystemClock):
+    """Its UTC can be set; `ahead` is how far it is ahead of this machine's."""
+
+    ahead = 0.0
+
+    def utc(self) -> float:
+        return super().utc() + self.ahead
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The history deletes what is too old immediately, and with each write."""
+    for name in ("COMMIT_S", "PRUNE_S", "SETTLE_S"):
+        monkeypatch.setattr(f"phm.gcs.web.history.store.{name}", 0.0 if name != "COMMIT_S" else 0.01)
+
+
+def write(store: HistoryStore, who: str, at: float) -> None:
+    """Write a line, and wait until what is too old then is deleted: that is done before the next line is written."""
+    for name in (who, f"{who} again"):
+        store.put(line(at, name))
+        assert store.flush(120)
+
+
+@pytest.mark.usefixtures("impatient")
+@pytest.mark.parametrize("step_s", [31 * DAY_S, -31 * DAY_S, 20_000 * DAY_S])
+def test_a_clock_that_is_set_deletes_nothing_of_this_run(tmp_path: Path, step_s: float) -> None:
+    """A computer without a battery-backed clock gets the time by network during the flight; a wrong time may come as well."""
+    path, clock = tmp_path / "history.db", SteppedClock()
+    store = HistoryStore(path, clock)
+    store.start()
+    write(store, "A01", clock.utc())
+    clock.ahead = step_s
+    write(store, "A02", clock.utc())
+    clock.ahead = 0.0
+    write(store, "A03", clock.utc())
+    store.close()
+    assert [count(path, who) for who in ("A01", "A02", "A03")] == [1, 1, 1]
+
+
+def test_what_is_too_old_goes_once_the_clock_had_time_to_be_set(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, impatient: None
+) -> None:
+    """At the start it may be wrong, until a network is there."""
+    monkeypatch.setattr("phm.gcs.web.history.store.SETTLE_S", 3600.0)
+    path, clock = tmp_path / "history.db", SteppedClock()
+    store = HistoryStore(path, clock)
+    store.start()
+    write(store, "A01", clock.utc() - 31 * DAY_S)
+    write(store, "A02", clock.utc() - 29 * DAY_S)
+    assert count(path, "A01") == 1
+    monkeypatch.setattr("phm.gcs.web.history.store.SETTLE_S", 0.0)
+    write(store, "A03", clock.utc())
+    store.close()
+    assert [count(path, who) for who in ("A01", "A02", "A03")] == [0, 1, 1]
+
+
+@pytest.mark.usefixtures("impatient")
+def test_what_a_clock_that_was_ahead_has_stamped_goes_first_without_room(tmp_path: Path) -> None:
+    """It does not stay for years at the cost of what is newer."""
+    path, clock = tmp_path / "history.db", SystemClock()
+    store, now = HistoryStore(path, clock, max_bytes=LIMIT), clock.utc()
+    store.start()
+    for number in range(100):
+        store.put(line(now + 4000 * DAY_S + number, "A09"))
+    assert store.flush(120)
+    for number in range(2000):
+        store.put(line(now - 20 * DAY_S + number, "A01"))
+    until(lambda: store.flush(0.1) and size(path) <= LIMIT, "the limit", lambda: size(path))
+    store.close()
+    assert count(path, "A09") == 0 and count(path, "A01") > 1500

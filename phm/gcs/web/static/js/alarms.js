@@ -100,25 +100,30 @@ function flash() {
 
 function ringing() {
   const found = [...store.agents.values()].filter((agent) => agent.alarm?.count > 0);
-  return found.sort((left, right) => (right.alarm.at ?? 0) - (left.alarm.at ?? 0) || compare(left.name, right.name));
+  // Expected agents first: a flood of invented ones must not hide theirs.
+  return found.sort((left, right) => Number(right.alarm.expected) - Number(left.alarm.expected)
+    || (right.alarm.at ?? 0) - (left.alarm.at ?? 0) || compare(left.name, right.name));
 }
 
 function show() {
   const found = ringing();
   const until = store.ground.alarms_silent_until ?? null;
+  // Alarms for which the server had no room: at least one line each.
+  const leftOut = store.ground.alarms_left_out ?? 0;
+  const count = found.length + leftOut;
   const bar = byId("alarms");
   // Shown as long as no alarm would ring, so that this can be seen and ended.
-  bar.hidden = !found.length && until === null;
-  const total = found.reduce((sum, agent) => sum + agent.alarm.count, 0);
+  bar.hidden = !count && until === null;
+  const total = found.reduce((sum, agent) => sum + agent.alarm.count, leftOut);
   document.title = `${total ? `(${total}!) ` : ""}PHM`;
-  render(bar, [found.map((agent) => [agent.name, agent.alarm.count, Boolean(silent(agent.alarm))]), until, mayOperate()], () => [
-    el("strong", {}, found.length ? `${total} CRITICAL not acknowledged` : "", found.length && until ? ", " : "",
+  render(bar, [found.map((agent) => [agent.name, agent.alarm.count, Boolean(silent(agent.alarm))]), leftOut, until, mayOperate()], () => [
+    el("strong", {}, count ? `${total} CRITICAL not acknowledged` : "", count && until ? ", " : "",
       until ? el("span", { "data-until": until }) : null),
     el("ul", {}, ...found.slice(0, 12).map((agent) => el("li", {},
       el("a", { href: `#/agent/${encodeURIComponent(agent.name)}`, text: `${agent.name} (${agent.alarm.count})` }),
       el("span", { class: "since", "data-name": agent.name }))),
-      found.length > 12 ? el("li", { text: `and ${found.length - 12} more` }) : null),
-    mayOperate() ? controls(found.length, until) : null,
+      count > Math.min(found.length, 12) ? el("li", { text: `and ${count - Math.min(found.length, 12)} more` }) : null),
+    mayOperate() ? controls(count, until) : null,
   ]);
   times();
 }
