@@ -15,7 +15,17 @@ _SECONDS = ("settle_s", "decides_s", "age_s", "rate_hz")
 _AGE = "age_s"
 """Always a number; infinity: the evidence may be from any time before PHM's first observation."""
 _EVIDENCE_TEXTS = ("generation", "file", "broken_hop", "ended_by")
-_EVIDENCE_FLAGS = ("certain", "conclusive", "in_time", "rising", "falling", "forecast", "recovered", "unobserved")
+_EVIDENCE_FLAGS = (
+    "certain",
+    "conclusive",
+    "in_time",
+    "patient",
+    "rising",
+    "falling",
+    "forecast",
+    "recovered",
+    "unobserved",
+)
 _VALUES = (str, int, float, bool, type(None))
 
 
