@@ -19,8 +19,8 @@ OLD_SNAPSHOT_S = 5.0
 """Older snapshots of the graph are not evaluated."""
 SLOW_S = 1.0
 WITNESSES = 2
-"""At least this many nodes of a container, and all of them, must be unreachable before the container's network is blamed.
-A single unreachable node may have its own problem."""
+"""At least this many nodes of a container, in as many processes, and all of them, must be unreachable before the container's network is
+blamed. A single unreachable process may have its own problem."""
 BOTH_S = 2.0
 """Two processes of one node for longer than this are a duplicate; a restarted node may briefly overlap with the old one.
 No wait is needed when both send beacons."""
@@ -225,9 +225,13 @@ class Nodes(api.Check):
 
     def _cut_off(self, evidence: Mapping[str, Sequence[Evidence]]) -> set[str]:
         """Containers whose nodes are all unreachable although their processes run: the network to them is at fault."""
-        containers = [node.wanted.container for node in self._nodes]
-        unreachable = [node.wanted.container for node in self._nodes if _unreachable(evidence[node.wanted.name])]
-        return {key for key in self._tables if unreachable.count(key) == containers.count(key) >= WITNESSES}
+        return {key for key, table in self._tables.items() if self._all_unreachable(table, evidence)}
+
+    def _all_unreachable(self, table: ProcessTable, evidence: Mapping[str, Sequence[Evidence]]) -> bool:
+        """Whether this holds for all nodes of one container. Nodes of one process are one witness."""
+        names = [node.wanted.name for node in self._nodes if node.wanted.container == table.key]
+        processes = {table.running(name) for name in names if _unreachable(evidence[name])}
+        return len(processes) >= WITNESSES and all(_unreachable(evidence[name]) for name in names)
 
     def _from_graph(self, node: _Node, fact: api.RosFact | None, now: float) -> list[Evidence]:
         table, name = self._tables.get(node.wanted.container), node.wanted.name
