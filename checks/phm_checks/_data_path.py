@@ -2,21 +2,22 @@
 of them. Pure, except that it queries the world.
 
 One silent node may be hung. When all nodes of a container fall silent at the same moment, while discovery lists them and their
-processes run, the cause is the path between them and PHM: a firewall, or a transport that they do not share.
+processes run, the cause is the path between them and PHM: a firewall, or a transport that they do not share. They must not have fallen
+silent by a common cause, such as a process or an input (`phm_checks._witnesses`).
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from phm import api
 from phm_checks._graph_evidence import SILENT_PERIODS, NodeTopics
 from phm_checks._process_matching import Wanted, match, repeated, wanted_nodes
 from phm_checks._text import listed, span
+from phm_checks._witnesses import WITNESSES, Arrivals, Causes, expected, independent
 
-WITNESSES = 2
 SILENT_S = 3.0
 """Well below the time after which the silence of a single node is reported, so that a blocked data path is known first."""
 TOGETHER_S = 1.5
@@ -54,6 +55,7 @@ class DataPath:
         self._key, self._grace_s = key, settings.ros.grace
         self._wanted = [node for node in wanted_nodes(settings) if node.container == key]
         self._ends = {node.name: NodeTopics.of(node.name, settings.ros.topics) for node in self._wanted}
+        self._arrivals = Arrivals(key, settings)
         self._generation, self._met_at = "", 0.0
         self._cut_at = 0.0
         """The last sign of life before they were reported as cut off came at this moment at the latest; before a report, PHM's first look
@@ -68,6 +70,8 @@ class DataPath:
         """The container generation in which they were last cut off; cleared when data is received in another generation."""
         self.never_received = False
         """For the last non-empty result of `why`: whether nothing was ever received in this container generation."""
+        self.by_topics = False
+        """The same: whether it rests on topics, whose sources may only pause, and not on beacons alone."""
 
     def why(self, world: api.World, generation: str) -> str:
         """The evidence as text; empty while anything is received, or if the state is unknown. generation: the container's current one."""
@@ -98,7 +102,7 @@ class DataPath:
             if fact.age_s > OLD_SNAPSHOT_S:
                 return False
             ages = [sign.age_s - fact.age_s for node in self._wanted for sign in self._signs(node, fact)]
-            if any(world.clock.mono() - age_s > self._cut_at for age_s in ages):
+            if world.clock.mono() - min([*ages, self._arrivals.newest_s(fact)]) > self._cut_at:
                 return True
             # Names arrive as data: a child that has received nothing else, e.g. a new one, has received these since.
             named = not ages and any(fact.nodes.get(node.name) for node in self._wanted)
@@ -126,8 +130,8 @@ class DataPath:
             fact = world.ros.snapshot()
         except api.CannotTell:
             return False
-        ages = (self._silent_s(node, fact) for node in self._wanted)
-        return any(age is not None and now - age > self._met_at for age in ages)
+        ages = [age for node in self._wanted if (age := self._silent_s(node, fact)) is not None]
+        return now - min([*ages, self._arrivals.newest_s(fact)]) > self._met_at
 
     def _why(self, world: api.World) -> str:
         if len(self._wanted) < WITNESSES:
@@ -160,14 +164,37 @@ class DataPath:
 
     def _cut_off_s(self, world: api.World, fact: api.RosFact, silent: Sequence[float]) -> float:
         """How long the listed nodes, silent for these times, have been cut off; 0 if they may not be."""
+        quiet = self._quiet(fact, silent)
         # A reported fault persists until something is received.
-        reported = world.clock.mono() - min(silent) <= self._cut_at
-        if not reported and not self._all_overdue(fact, listed_only=True):
+        if world.clock.mono() - min(quiet) <= self._cut_at:
+            return min(quiet) if self._run(world) else 0.0
+        if not self._all_overdue(fact, listed_only=True):
             return 0.0
-        long = reported or _together(silent, SILENT_S, TOGETHER_S)
-        return min(silent) if long and self._run(world) else self._soon(world, fact, silent)
+        causes = self._causes(fact)
+        long = _together(quiet, SILENT_S, TOGETHER_S)
+        return min(quiet) if long and self._run(world, causes) else self._soon(world, fact, silent, causes)
 
-    def _soon(self, world: api.World, fact: api.RosFact, silent: Sequence[float]) -> float:
+    def _causes(self, fact: api.RosFact) -> dict[str, set[str]]:
+        """By name of each silent node, what may have silenced it. A beacon has its own timer; topics may wait for inputs."""
+        silent = [node for node in self._wanted if self._silent_s(node, fact) is not None]
+        beacons = {node.name for node in silent if self._beacon_ended(node, fact)}
+        self.by_topics = len(beacons) < WITNESSES
+        causes = Causes(fact)
+        return {node.name: {node.name} if node.name in beacons else causes.of(node.name) for node in silent}
+
+    def _beacon_ended(self, node: Wanted, fact: api.RosFact) -> bool:
+        """Whether its beacon fell silent, too, and not long before its topics."""
+        beacon = fact.beacons.get(node.name)
+        newest_s = min(sign.age_s for sign in self._signs(node, fact))
+        return beacon is not None and beacon.silent_s - newest_s <= max(TOGETHER_S, SILENT_PERIODS * beacon.period_s)
+
+    def _quiet(self, fact: api.RosFact, silent: Sequence[float]) -> list[float]:
+        """These times, and that since anything else was received from the container, if it is shorter: then the path works."""
+        return [*silent, min(*silent, self._arrivals.newest_s(fact))]
+
+    def _soon(
+        self, world: api.World, fact: api.RosFact, silent: Sequence[float], causes: Mapping[str, Collection[str]]
+    ) -> float:
         """How long all of them have been silent, if that is certain before SILENT_S; otherwise 0."""
         periods = [fact.beacons[node.name].period_s for node in self._wanted if node.name in fact.beacons]
         all_silent = len(silent) == len(self._wanted)
@@ -177,7 +204,7 @@ class DataPath:
         pause_s = self._pause_s if now - self._paused_at < REMEMBER_S else 0.0
         limit_s = max(SOON_S, SOON_PERIODS * max(periods), PAUSE * pause_s)
         near_s = max(2 * max(periods), FRESH_S)
-        if not _together(silent, limit_s - CONFIRM_S, near_s) or self._run(world) != ASLEEP:
+        if not _together(self._quiet(fact, silent), limit_s - CONFIRM_S, near_s) or self._run(world, causes) != ASLEEP:
             return 0.0
         world.clock.wait(threading.Event(), max(CONFIRM_S, limit_s - min(silent)))
         try:
@@ -189,8 +216,10 @@ class DataPath:
         if later and min(later) < min(silent):
             self._pause_s, self._paused_at = min(silent) + passed_s - min(later), now
             return 0.0
-        sure = again.age_s <= FRESH_S and len(later) == len(self._wanted) and _together(later, limit_s, near_s)
-        return min(later) if sure else 0.0
+        if again.age_s > FRESH_S or len(later) != len(self._wanted):
+            return 0.0
+        quiet = self._quiet(again, later)
+        return min(quiet) if _together(quiet, limit_s, near_s) else 0.0
 
     def absent(self, world: api.World) -> str:
         """The evidence that discovery does not work either, although all nodes run; empty if unknown. Call after `why`."""
@@ -207,7 +236,7 @@ class DataPath:
             return ""
         if self._others_receive(fact) or not self._all_overdue(fact, listed_only=False):
             return ""
-        silent_s = min(received) - fact.age_s
+        silent_s = min(min(received) - fact.age_s, self._arrivals.newest_s(fact))
         running = (ASLEEP, AWAKE) if self.cut else (ASLEEP,)
         if silent_s < ABSENT_S or now - silent_s < self._met_at or self._run(world) not in running:
             return ""
@@ -240,7 +269,7 @@ class DataPath:
         beacon = fact.beacons.get(node.name)
         if beacon is not None:
             yield _Sign(beacon.silent_s, SILENT_PERIODS * beacon.period_s)
-        for topic, rate_hz in self._ends[node.name].rates:
+        for topic, rate_hz in self._ends[node.name].rates if expected(node.name, fact) else ():
             rate = fact.topics.get(topic, api.TopicFact()).rate
             if rate is not None and rate.silent_s is not None:
                 yield _Sign(max(0.0, rate.silent_s - rate.not_counted_s), rate.limit_s or SILENT_PERIODS / rate_hz)
@@ -254,21 +283,27 @@ class DataPath:
         received = any(topic.rate is not None and topic.rate.silent_s is not None for topic in topics)
         return len(found) >= WITNESSES and not any(found) and not received
 
-    def _run(self, world: api.World) -> str:
-        """AWAKE or ASLEEP if each node has at least one process, not shared, and none is stopped; otherwise empty. Called only if there
-        is a reason."""
+    def _run(self, world: api.World, causes: Mapping[str, Collection[str]] | None = None) -> str:
+        """AWAKE or ASLEEP if each node has at least one process, none is stopped, and WITNESSES nodes share neither a process nor another
+        cause of silence; otherwise empty. Called only if there is a reason. causes: of the silent nodes; default: all nodes, without any.
+        """
         try:
-            return self._state(world)
+            return self._state(world, causes)
         except api.CannotTell:
             return ""
 
-    def _state(self, world: api.World) -> str:
+    def _state(self, world: api.World, causes: Mapping[str, Collection[str]] | None = None) -> str:
         """The same; raises CannotTell."""
         processes = world.docker.processes(self._key)
         found, _ = match(self._wanted, processes, {})
         every = repeated(self._wanted, processes, found) | {name: [one.process] for name, one in found.items()}
         states = [one.state[:1] for own in every.values() for one in own]
         if len(every) != len(self._wanted) or any(state in ("T", "t") for state in states):
+            return ""
+        shared: list[set[Hashable]] = [
+            {one.pid for one in every[name]}.union(why) for name, why in (causes or dict.fromkeys(every, ())).items()
+        ]
+        if independent(shared) < WITNESSES:
             return ""
         return ASLEEP if all(state == "S" for state in states) else AWAKE
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from phm import api
 from phm.api import Layer, Level, Slot
-from phm_checks._text import brief, clean, did_you_mean, last, listed, span
+from phm_checks._status_publisher import name_pattern, named_publisher
+from phm_checks._text import brief, clean, did_you_mean, listed, span
 
 OLD_SNAPSHOT_S = 5.0
 """Older snapshots of the ROS child process are not evaluated."""
@@ -35,12 +35,6 @@ class Watched:
     def unit(self) -> str:
         return f"diagnostics/{api.topic_id(self.entry.name)}"
 
-    @property
-    def pattern(self) -> re.Pattern[str]:
-        """Only `*` and `?` are special: `motor[0]: temperature` means itself."""
-        parts = {"*": ".*", "?": "."}
-        return re.compile("".join(parts.get(char, re.escape(char)) for char in self.entry.name), re.DOTALL)
-
 
 @dataclass(frozen=True)
 class EvaluatedStatus:
@@ -66,7 +60,7 @@ class Diagnostics(api.Check):
 
     def __init__(self, watched: Sequence[Watched], grace_s: float) -> None:
         self._watched = tuple(watched)
-        self._patterns = {item.unit: item.pattern for item in watched}
+        self._patterns = {item.unit: name_pattern(item.entry.name) for item in watched}
         self._grace_s = grace_s
         self._generations: dict[str, str] = {}
         self._began_s: dict[str, float] = {}
@@ -78,7 +72,7 @@ class Diagnostics(api.Check):
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
         watched = []
         for entry in settings.ros.diagnostics.watch:
-            node = f"/{api.topic_id(entry.node)}" if entry.node else _publisher(entry.name, settings)
+            node = f"/{api.topic_id(entry.node)}" if entry.node else named_publisher(entry.name, settings)
             container = entry.container or settings.container_of_node(node)
             watched.append(Watched(entry, container, node))
         return [cls(watched, settings.ros.grace)] if watched else []
@@ -182,18 +176,6 @@ class Diagnostics(api.Check):
                 self._began_s[container] = now
             self._generations[container] = fact.generation
         return self._began_s.get(container, float("-inf"))
-
-
-def _publisher(name: str, settings: api.Settings) -> str:
-    """The configured node that diagnostic_updater names before the colon; empty if not exactly one node matches."""
-    before, colon, _ = name.partition(":")
-    if not colon:
-        return ""
-    nodes = [f"/{api.topic_id(node.name)}" for node in settings.ros.nodes]
-    found = [node for node in nodes if node.lstrip("/") == before.lstrip("/")] or [
-        n for n in nodes if last(n) == before
-    ]
-    return found[0] if len(found) == 1 else ""
 
 
 def _sources(fact: api.RosFact, name: str) -> Sequence[api.DiagnosticFact]:

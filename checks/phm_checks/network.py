@@ -117,7 +117,8 @@ class Network(PerContainer):
         )
         # Without an address check the fault may be on PHM's side of the network: no recovery target.
         target = found.target if self._responds else ""
-        return replace(found, evidence=api.Evidence(never_ok=never, subjects=_DATA), target=target)
+        known = api.Evidence(never_ok=never, subjects=_DATA, patient=self._data_path.by_topics)
+        return replace(found, evidence=known, target=target)
 
     def _mode(self, fact: api.ContainerFact) -> api.Result | None:
         """The result for network modes in which a container has no network itself; None for other modes."""

@@ -10,7 +10,7 @@ from phm.api import Layer, Level, Slot
 from phm_checks._environment_advice import advice
 from phm_checks._evidence import Evidence, Kind, Observation
 from phm_checks._graph_evidence import TWICE_S, GraphEvidence, NodeTopics
-from phm_checks._liveness import HANG_S, NodeHistory, NodeState, NodeVerdict, disproved, judge_node
+from phm_checks._liveness import HANG_S, LOST_S, NodeHistory, NodeState, NodeVerdict, disproved, judge_node
 from phm_checks._process_matching import Wanted, wanted_nodes
 from phm_checks._process_table import NEVER, ProcessTable
 from phm_checks._text import brief, did_you_mean, last, span
@@ -19,8 +19,8 @@ OLD_SNAPSHOT_S = 5.0
 """Older snapshots of the graph are not evaluated."""
 SLOW_S = 1.0
 WITNESSES = 2
-"""At least this many nodes of a container, and all of them, must be unreachable before the container's network is blamed.
-A single unreachable node may have its own problem."""
+"""At least this many nodes of a container, in as many processes, and all of them, must be unreachable before the container's network is
+blamed. A single unreachable process may have its own problem."""
 BOTH_S = 2.0
 """Two processes of one node for longer than this are a duplicate; a restarted node may briefly overlap with the old one.
 No wait is needed when both send beacons."""
@@ -210,6 +210,8 @@ class Nodes(api.Check):
             table.observe(world, suspicions, blind=any(node.graph.blind for node in own))
         now = world.clock.mono()
         evidence = {node.wanted.name: self._evidence(node, signs[node.wanted.name], now) for node in self._nodes}
+        for name in [node.wanted.name for node in self._nodes if self._only_others_run(node, evidence)]:
+            evidence[name] = [piece for piece in evidence[name] if piece.kind is not Kind.PROCESS]
         cut_off = self._cut_off(evidence)
         return {
             node.wanted.unit: self._result(
@@ -223,11 +225,31 @@ class Nodes(api.Check):
         pieces = (table.container(now), table.process(node.wanted.name, now)) if table is not None else ()
         return [*signs, *(piece for piece in pieces if piece is not None)]
 
+    def _only_others_run(self, node: _Node, evidence: Mapping[str, Sequence[Evidence]]) -> bool:
+        """Whether the node's process is that of other nodes: it has left the graph, while another node of the process is listed, or sends
+        and is not listed either for so long. A component may have been unloaded, or was never loaded."""
+        name, table = node.wanted.name, self._tables.get(node.wanted.container)
+        if table is None or not _unreachable(evidence[name]):
+            return False
+        gone_s = next(piece.lasted_s for piece in evidence[name] if piece.kind is Kind.NAME)
+        kinds = (Kind.NAME, Kind.BEACON, Kind.TOPICS) if gone_s >= LOST_S else (Kind.NAME,)
+        others = [one.wanted.name for one in self._nodes if one is not node and one.wanted.container == table.key]
+        return any(
+            piece.kind in kinds and piece.says is Observation.ALIVE
+            for other in others
+            if table.running(other) == table.running(name)
+            for piece in evidence[other]
+        )
+
     def _cut_off(self, evidence: Mapping[str, Sequence[Evidence]]) -> set[str]:
         """Containers whose nodes are all unreachable although their processes run: the network to them is at fault."""
-        containers = [node.wanted.container for node in self._nodes]
-        unreachable = [node.wanted.container for node in self._nodes if _unreachable(evidence[node.wanted.name])]
-        return {key for key in self._tables if unreachable.count(key) == containers.count(key) >= WITNESSES}
+        return {key for key, table in self._tables.items() if self._all_unreachable(table, evidence)}
+
+    def _all_unreachable(self, table: ProcessTable, evidence: Mapping[str, Sequence[Evidence]]) -> bool:
+        """Whether this holds for all nodes of one container. Nodes of one process are one witness."""
+        names = [node.wanted.name for node in self._nodes if node.wanted.container == table.key]
+        processes = {table.running(name) for name in names if _unreachable(evidence[name])}
+        return len(processes) >= WITNESSES and all(_unreachable(evidence[name]) for name in names)
 
     def _from_graph(self, node: _Node, fact: api.RosFact | None, now: float) -> list[Evidence]:
         table, name = self._tables.get(node.wanted.container), node.wanted.name

@@ -12,6 +12,7 @@ from phm_checks._environment_advice import advice
 from phm_checks._limit_forecast import LimitForecast
 from phm_checks._node_activity import FRESH_S, ran_s, turned_s
 from phm_checks._text import StableNumber, brief, clean, last, span
+from phm_checks._witnesses import WITNESSES, Arrivals, Causes, expected, independent
 
 CONFIRM_S = 0.9
 """A rate must be wrong in two measurements, made once a second, before it is reported."""
@@ -37,8 +38,6 @@ DOUBTS = 2.5
 """This many standard deviations of a rate are added to its tolerance: normal jitter of a publisher is not a fault."""
 JITTER_SHARE = 0.5
 """Of the period: samples with more jitter are as likely in the wrong period as in their own."""
-WITNESSES = 2
-"""When this many nodes of one container, and all of them, are silent, the transport is blocked: not all of them idle together."""
 
 
 @dataclass(slots=True)
@@ -74,8 +73,15 @@ class Rates(api.Check):
     period_s = 1.0
 
     def __init__(
-        self, topics: Sequence[api.TopicSettings], units: Sequence[api.Unit], grace_s: float, trends: api.TrendSettings
+        self,
+        topics: Sequence[api.TopicSettings],
+        units: Sequence[api.Unit],
+        grace_s: float,
+        trends: api.TrendSettings,
+        arrivals: Mapping[str, Arrivals],
     ) -> None:
+        """arrivals: by container."""
+        self._arrivals = dict(arrivals)
         self._topics = tuple(topics)
         self._units = tuple(units)
         self._targets = {unit.id: unit.target for unit in units}
@@ -100,7 +106,8 @@ class Rates(api.Check):
             )
             for topic in topics
         ]
-        return [cls(topics, units, settings.ros.grace, settings.trends)] if topics else []
+        arrivals = {unit.target: Arrivals(unit.target, settings) for unit in units}
+        return [cls(topics, units, settings.ros.grace, settings.trends, arrivals)] if topics else []
 
     @property
     def units(self) -> Sequence[api.Unit]:
@@ -229,7 +236,7 @@ class Rates(api.Check):
                 f"{case.name}: transport blocked. {evidence}: discovery works but no data arrives "
                 f"({advice(world, case.target, _BLOCKS, data_only=True)}); a restart of the application does not help",
                 case,
-            )
+            ).with_evidence(api.Evidence(patient=True))
         return self._bad(
             Level.ERROR,
             "not_received",
@@ -251,7 +258,8 @@ class Rates(api.Check):
             # Node names arrive as data, publishers are found by discovery. Where other data arrive, it is a program without a ROS node.
             return "A publisher is discovered, but neither its node name nor a sample was received"
         silent = self._silent_nodes(target, fact)
-        if len(silent) < WITNESSES or not silent & nodes:
+        causes = Causes(fact)
+        if not silent & nodes or independent(map(causes.of, silent)) < WITNESSES:
             return ""
         return f"{len(silent)} nodes are discovered, but no sample from any of them was received"
 
@@ -265,8 +273,9 @@ class Rates(api.Check):
             if seen.rate is not None and seen.rate.silent_s is not None:
                 return set()
             if self._due(topic, fact):
-                nodes |= _nodes(seen)
-        return set() if nodes & fact.beacons.keys() else nodes
+                nodes |= {node for node in _nodes(seen) if expected(node, fact)}
+        received = nodes & fact.beacons.keys() or self._arrivals[target].newest_s(fact, nodes) < float("inf")
+        return set() if received else nodes
 
     def _rate(
         self, case: _Case, hz: float, seen: api.TopicFact, fact: api.RosFact, memory: _Memory, now: float

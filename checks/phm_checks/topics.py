@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from enum import Enum
 
 from phm import api
 from phm.api import Layer, Level, Slot
@@ -35,8 +36,24 @@ SURE_S = 0.2
 """Settle time for a mismatch between existing endpoints of live nodes: a terminating node cannot be its cause."""
 STRAY_S = 10.0
 """A subscription to a similar name may wait for its own publisher, which starts later."""
+OTHERS_S = 3.0
+"""A subscription that its node may not need any more must be lost for longer than the age of the users of topics that are not configured:
+those are read every two seconds (`phm.probes.ros.unconfigured_topics`)."""
+STATEMENTS = ("/diagnostics",)
+"""Topics about the publisher itself: who reads them does not use its output."""
 BETWEEN = ("qos_mismatch", "type_wrong")
 """Conditions about existing endpoints; a missing endpoint does not cause them."""
+
+
+class _Use(Enum):
+    """Whether anyone uses what a node publishes, PHM aside."""
+
+    NONE = "none"
+    """It publishes, and no one subscribes: it may have closed its own subscriptions, as image_proc does, until someone does."""
+    OLD = "old"
+    """Someone subscribed when the users of topics that are not configured were read."""
+    OTHER = "other"
+    """Someone subscribes, or it publishes nothing."""
 
 
 class Topics(api.Check):
@@ -167,23 +184,27 @@ class Topics(api.Check):
     def _missing(
         self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact, now: float
     ) -> api.Result | None:
-        """The first of: endpoint closed, topic missing, publisher missing, subscriber missing."""
+        """The first of: endpoint closed, topic missing, publisher missing, subscriber missing; last, a subscriber that is not needed now."""
+        name = full(topic.name)
+        # All of them in each run, which keeps the history of the endpoints.
+        lost = [key for side in named_sides(topic, seen) for key in self._lost(name, *side, fact, now)]
+        idle = [key for key in lost if key[1] == "subscriber" and _use_of_output(key[2], fact) is _Use.NONE]
+        free = [node for _, _, node in idle]
         return (
-            self._closed_endpoint(topic, seen, fact, now)  # first: it keeps the history of the endpoints
+            self._closed_endpoint(topic, seen, fact, now, [key for key in lost if key not in idle])
             or self._no_endpoint(topic, seen, fact)
-            or self._named_missing(topic, seen, fact)
+            or self._named_missing(topic, seen, fact, free)
             or self._no_publisher(topic, seen, fact)
+            or (_on_demand(name, free) if free else None)
         )
 
     def _closed_endpoint(
-        self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact, now: float
+        self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact, now: float, lost: Sequence[Key]
     ) -> api.Result | None:
-        name = full(topic.name)
-        lost = [key for side in named_sides(topic, seen) for key in self._lost(name, *side, fact, now)]
         if not lost:
             return None
-        _, kind, node = lost[0]
-        settles = [self._ends.settle_s(key, fact, now) for key in lost]
+        name, kind, node = lost[0]
+        settles = [self._settle_s(key, fact, now) for key in lost]
         known = [settle_s for settle_s in settles if settle_s is not None]
         result = self._bad(
             topic,
@@ -196,6 +217,13 @@ class Topics(api.Check):
             self._homes.get(node, ""),
         )
         return replace(result, settle_s=max(known) if len(known) == len(settles) else None)
+
+    def _settle_s(self, key: Key, fact: api.RosFact, now: float) -> float | None:
+        """None: that of the unit."""
+        settle_s = self._ends.settle_s(key, fact, now)
+        if key[1] == "subscriber" and _use_of_output(key[2], fact) is _Use.OLD:
+            return max(settle_s or SETTLE_S, OTHERS_S)
+        return settle_s
 
     def _no_endpoint(self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact) -> api.Result | None:
         if seen.publishers or seen.subscribers:
@@ -210,10 +238,14 @@ class Topics(api.Check):
             f"{_hint(topic, fact, (*topic.publishers, *topic.subscribers), absent=True)}",
         )
 
-    def _named_missing(self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact) -> api.Result | None:
+    def _named_missing(
+        self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact, free: Sequence[str]
+    ) -> api.Result | None:
+        """free: subscribers that need not be there now."""
         for kind, wanted, there in named_sides(topic, seen):
             names = {end.node for end in there}
-            lacking = [full(node) for node in wanted if full(node) not in names]
+            needed = [full(node) for node in wanted if kind == "publisher" or full(node) not in free]
+            lacking = [node for node in needed if node not in names]
             if lacking:
                 hint = _hint(topic, fact, lacking) or did_you_mean(lacking[0], names)
                 others = f"; present: {listed(sorted(names))}" if names else " and has no other"
@@ -365,6 +397,21 @@ class Topics(api.Check):
     ) -> api.Result:
         container = self._targets[_unit(topic)] if target is None else target
         return api.Result(level, words, brief(last(topic.name), short), condition, container, _numbers(seen))
+
+
+def _use_of_output(node: str, fact: api.RosFact) -> _Use:
+    configured = [topic for topic in fact.topics.values() if any(end.node == node for end in topic.publishers)]
+    others = [topic for name, topic in fact.others.items() if node in topic.publishers and name not in STATEMENTS]
+    if any(end.node != node for topic in configured for end in topic.subscribers) or not (configured or others):
+        return _Use.OTHER
+    return _Use.OLD if any(user != node for topic in others for user in topic.subscribers) else _Use.NONE
+
+
+def _on_demand(name: str, nodes: Sequence[str]) -> api.Result:
+    return api.stale(
+        f"topic {name} has lost its subscriber {listed(nodes)}, which may subscribe on demand: no node subscribes to what it publishes. If so, "
+        "remove it from `subscribers`"
+    )
 
 
 def _hint(topic: api.TopicSettings, fact: api.RosFact, lacking: Iterable[str], *, absent: bool = False) -> str:

@@ -16,7 +16,17 @@ _AGE = "age_s"
 """Always a number; infinity: the evidence may be from any time before PHM's first observation."""
 _READINGS = ("cpu_percent", "memory_percent", "temperature_c")
 _EVIDENCE_TEXTS = ("generation", "file", "broken_hop", "ended_by")
-_EVIDENCE_FLAGS = ("certain", "conclusive", "in_time", "rising", "falling", "forecast", "recovered", "unobserved")
+_EVIDENCE_FLAGS = (
+    "certain",
+    "conclusive",
+    "in_time",
+    "patient",
+    "rising",
+    "falling",
+    "forecast",
+    "recovered",
+    "unobserved",
+)
 _VALUES = (str, int, float, bool, type(None))
 
 

@@ -124,6 +124,7 @@ class Evidence:
     subjects:     names of those that this bad result is about, or that this OK covers, where the unit reports on several that are not
                   configured: after a restart of PHM an OK must cover all that had failed before. None: this OK covers all.
     unobserved_of: subjects that this OK does not cover, because PHM has not observed them since its start.
+    patient:      it may come back by itself: recovery waits for `recovery.patience`, as for a topic.
     """
 
     generation: str = ""
@@ -143,6 +144,7 @@ class Evidence:
     unobserved: bool = False
     subjects: tuple[str, ...] | None = None
     unobserved_of: tuple[str, ...] = ()
+    patient: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,6 +26,8 @@ TIMEOUT_HEARTBEATS = 3.0
 IGNORED = ("__pycache__", "*.pyc")
 _GENERATED = re.compile(r"_[0-9a-f]{6,}$|_\d{3,}$")
 _TOOLS = re.compile(r"/(_ros2cli.*|launch_ros_\d+|transform_listener_impl_\w+|rviz2?|rqt\w*|foxglove_bridge)$")
+_LAZY = frozenset(f"sensor_msgs/msg/{name}" for name in ("Image", "CompressedImage", "CameraInfo", "PointCloud2"))
+"""Nodes that convert these, such as those of image_proc, may subscribe only while a node subscribes to the result."""
 _OWN_MODES = ("host", "none", "bridge", "default")
 
 
@@ -213,6 +215,9 @@ def _topic(one: ObservedTopic, seen: Observations, nodes: frozenset[str]) -> Lea
         notes["publishers"] = f"{len(publishers)} publishers: the rate is their sum"
     if subscribers:
         values["subscribers"] = subscribers
+        sources = {end.node for other in seen.topics for end in other.publishers}
+        if sources.intersection(subscribers) and _LAZY.intersection(types):
+            notes["subscribers"] = "may subscribe on demand: remove a node that does so only while its output is used"
     return Learned(values, notes)
 
 

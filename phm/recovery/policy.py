@@ -234,7 +234,7 @@ def patience_s(fault: Fault, settings: RecoverySettings) -> float:
     A topic that was OK for `verify` since its container started has shown how long its pauses are.
     """
     condition = fault.result.condition
-    if condition not in PATIENT:
+    if condition not in PATIENT and not fault.result.evidence.patient:
         return 0.0
     if condition not in LEARNED or fault.ok_since_start_s < settings.verify:
         return settings.patience

@@ -546,4 +546,4 @@ def _basis(result: Result) -> tuple[object, ...]:
     """What recovery decides by, and a restart of PHM: the statement, and the evidence that they read. Other evidence may differ in each
     run."""
     evidence = result.evidence
-    return *_statement(result), evidence.never_ok, evidence.file, evidence.listed, evidence.subjects
+    return *_statement(result), evidence.never_ok, evidence.patient, evidence.file, evidence.listed, evidence.subjects

@@ -13,7 +13,24 @@ from phm.core.model import Evidence, HostReadings, Level, NodeVotes, Result
 
 BAD = Result(Level.ERROR, "it is broken", "broken", "custom_failed")
 EVERYTHING = Evidence(
-    "id@start", True, 1, True, True, False, 2, "/a", "hop", True, True, "reboot", True, True, True, ("one",), ("two",)
+    "id@start",
+    True,
+    1,
+    True,
+    True,
+    False,
+    2,
+    "/a",
+    "hop",
+    True,
+    True,
+    "reboot",
+    True,
+    True,
+    True,
+    ("one",),
+    ("two",),
+    True,
 )
 
 

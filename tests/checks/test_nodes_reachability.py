@@ -32,6 +32,17 @@ def test_when_no_node_of_a_container_is_received_though_all_run_nothing_is_resta
     assert bench.after(1.0).level is api.Level.OK
 
 
+def test_nodes_of_one_process_that_left_the_graph_are_missing() -> None:
+    """A hung component container: its nodes are one witness, and a restart helps."""
+    bench = Bench(nodes=[{"name": f"agent_1/node_{n}", "process": ["component_container"]} for n in (1, 2)])
+    bench.ros.change(nodes={NAME: 1, "/agent_1/node_2": 1})
+    bench.processes(MAIN, api.ProcessFact(71, 1, "S", 5.0, "component_container"))
+    bench.after(3.0)
+    bench.ros.change(nodes={})
+    result = bench.after(LOST_S + 1.0)
+    assert (result.level, result.condition, result.target) == (api.Level.ERROR, "node_missing", "ros_app")
+
+
 def test_a_transport_that_hides_names_restarts_no_node() -> None:
     """Node names arrive as data: publishers exist, but no node is listed or was ever seen."""
     bench = pair(topics=[{"name": TOPIC, "rate": 10, "publishers": [NAME]}])

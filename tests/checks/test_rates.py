@@ -260,13 +260,14 @@ class BlockedTransport:
         self.ros = testing.FakeRos()
         self.silent_s: dict[int, float | None] = {1: None, 2: None, 3: None}
         self.nodes = {1: "node_1", 2: "node_2", 3: "node_3"}
+        self.subscribers = {1: "", 2: "", 3: ""}
 
     def condition(self, **ros: Any) -> str:
         """The condition of topic_1."""
         topics = {
             f"/agent_1/topic_{n}": api.TopicFact(
                 (api.EndpointFact(f"/agent_1/{self.nodes[n]}", "std_msgs/msg/String"),),
-                (),
+                (api.EndpointFact(f"/agent_1/{self.subscribers[n]}", "std_msgs/msg/String"),),
                 api.RateFact(None, silent_s),
             )
             for n, silent_s in self.silent_s.items()
@@ -314,6 +315,30 @@ def test_one_received_node_clears_the_transport() -> None:
 def test_a_beacon_clears_the_transport() -> None:
     """A beacon is a sample, too."""
     assert BlockedTransport().condition(beacons={"/agent_1/node_2": api.BeaconFact(0.1, 1.0)}) == "not_received"
+
+
+def test_a_node_that_waits_for_another_is_not_a_second_witness() -> None:
+    """A camera that is absent at boot, and its detector."""
+    blocked = BlockedTransport()
+    blocked.subscribers[1] = "node_2"
+    assert blocked.condition() == "not_received"
+
+
+@pytest.mark.parametrize(
+    ("ros", "condition"),
+    [
+        ({"diagnostics": {"node_2: driver": api.DiagnosticFact(0.5, 0)}}, "transport_blocked"),
+        ({"lifecycle": {"/agent_1/node_2": api.AnswerFact("active", served=True)}}, "not_received"),
+        (
+            {"lifecycle": {"/agent_1/node_2": api.AnswerFact("inactive", served=True, unanswered_s=9.0)}},
+            "not_received",
+        ),
+    ],
+    ids=["a status of an unknown node", "an answer", "not active"],
+)
+def test_an_answer_clears_the_transport(ros: dict[str, Any], condition: str) -> None:
+    """It arrives. A node that is not active is not expected to send, and the other one alone is not evidence."""
+    assert BlockedTransport().condition(**ros) == condition
 
 
 def test_a_single_node_may_have_no_data_to_send() -> None:

@@ -83,6 +83,22 @@ def test_a_topic_without_messages(durability: str, rate: int | None) -> None:
     assert found.notes
 
 
+@pytest.mark.parametrize(("kind", "noted"), [("sensor_msgs/msg/Image", True), (TYPE, False)])
+def test_a_subscriber_that_converts_images_may_subscribe_on_demand(kind: str, noted: bool) -> None:
+    """As image_proc does; one that publishes nothing has no demand to wait for."""
+    camera, rectify, viewer = (EndpointFact(f"/a/{name}", kind) for name in ("camera", "rectify", "viewer"))
+    raw = replace(PLAIN, name="/a/raw", publishers=(camera,), subscribers=(rectify,))
+    seen = Observations(
+        60.0,
+        nodes={end.node: True for end in (camera, rectify, viewer)},
+        topics=(raw, replace(PLAIN, name="/a/rect", publishers=(rectify,), subscribers=(viewer,))),
+    )
+    first, second = learn(seen).topics
+    assert first.values["subscribers"] == ["/a/rectify"]
+    assert ("on demand" in first.notes.get("subscribers", "")) is noted
+    assert "subscribers" not in second.notes
+
+
 def test_a_type_that_cannot_be_read_leaves_out_the_rate() -> None:
     """A note says why."""
     found = learned_topic(rates=(), problem="type unknown: my_msgs is not installed")

@@ -88,6 +88,16 @@ def test_patience_follows_the_pauses_that_a_topic_has_had(ok_s: float, pause_s: 
     assert patience_s(replace(known, result=fault("node_missing").result), rules) == 0.0
 
 
+def test_evidence_that_may_end_by_itself_is_given_time() -> None:
+    """A transport that seems blocked because topics are silent; beacons do not pause."""
+    known = was_ok("transport_blocked", 60.0)
+    by_topics = replace(known, result=replace(known.result, evidence=Evidence(patient=True)))
+    rules = replace_rules(patience=10.0)
+    assert (patience_s(known, rules), patience_s(by_topics, rules)) == (0.0, 10.0)
+    assert isinstance(say(fault=replace(by_topics, opened=replace(by_topics.opened, mono=991.0)), settings=rules), Wait)
+    assert say(fault=by_topics, settings=rules) == Act("restart", 1)
+
+
 ONCE = ("transport_blocked", "qos_mismatch", "node_duplicate", "data_frozen", "data_stamp", "not_ready")
 
 

@@ -57,7 +57,7 @@ def test_numbers_of_restored_faults_are_left_out_whatever_the_count_is(count: in
     assert [fault.id for fault in later.tracker.open_faults()] == [f"ab12-{kept}", f"F{following}"]
 
 
-@pytest.mark.parametrize("change", [{"never_ok": True}, {"file": "/b"}, {"listed": 2}])
+@pytest.mark.parametrize("change", [{"never_ok": True}, {"patient": True}, {"file": "/b"}, {"listed": 2}])
 def test_a_fault_follows_the_evidence_that_recovery_decides_by(change: dict[str, Any]) -> None:
     """In the same words, in a new run of the container or for another file. It is not published again."""
     bench = Bench([unit("files")])

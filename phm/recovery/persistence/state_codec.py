@@ -291,6 +291,7 @@ def _fault(fault: Fault) -> dict[str, Any]:
             "condition": result.condition[:MAX_TEXT],
             "target": result.target[:MAX_TEXT],
             "never_ok": result.evidence.never_ok,
+            "patient": result.evidence.patient,
             "file": result.evidence.file[:MAX_TEXT],
             "listed": result.evidence.listed,
             "subjects": _subjects(result.evidence.subjects),
@@ -328,6 +329,7 @@ def _read_result(body: Any) -> Result:
     never_ok, listed = body.get("never_ok"), body.get("listed")
     known = Evidence(
         never_ok=never_ok if isinstance(never_ok, bool) else None,
+        patient=body.get("patient") is True,
         listed=int(listed) if listed is not None else None,
         file=str(body.get("file", ""))[:MAX_TEXT],
         subjects=_subjects(body.get("subjects")),

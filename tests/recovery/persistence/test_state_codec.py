@@ -27,7 +27,7 @@ WINDOW_S = 600.0
 
 
 def fault(name: str = "ab12-1", opened: Stamp | None = None) -> Fault:
-    known = Evidence(never_ok=True, file="/a", listed=2, subjects=("A03",))
+    known = Evidence(never_ok=True, patient=True, file="/a", listed=2, subjects=("A03",))
     result = Result(Level.ERROR, "app has exited", "app exited", "exited", "app", evidence=known)
     when = opened or Stamp(1000.0, 90.0)
     return Fault(
