@@ -57,10 +57,10 @@ class ReceivedHeartbeats:
         sender, now_s = (system, component), self._clock.mono()
         with self._lock:
             last = self._newest.get(sender)
-            if (last is not None and last[0] == number and now_s - last[1] < AGAIN_S) or (
-                last is None and len(self._newest) >= MOST_SENDERS
-            ):
+            if last is not None and last[0] == number and now_s - last[1] < AGAIN_S:
                 return
+            if last is None and len(self._newest) >= MOST_SENDERS:
+                del self._newest[min(self._newest, key=lambda other: self._newest[other][1])]
             self._newest[sender] = number, now_s
             self._frames.append((*sender, number, round(now_s, 3)))
             del self._frames[:-MOST]
