@@ -210,7 +210,10 @@ class MavlinkCommands:
             if command.signed and required_permission(request) not in READ_ONLY:
                 if problem := self._services.clock_problem():
                     return Reply(CommandResult.TEMPORARILY_REJECTED, problem)
-                self._services.remember()
+                try:
+                    self._services.remember()
+                except TimeoutError as error:
+                    return Reply(CommandResult.TEMPORARILY_REJECTED, str(error))
             match request:
                 case SendMessage(message):
                     return self._send(message, command.link)

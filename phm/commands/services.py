@@ -71,7 +71,7 @@ class CommandServices:
     approve:  by the fault's id. restart: the container's key, and who requests it.
     later:    what `approve` and `restart` raise when the same request may succeed later.
     remember: called before a signed command changes something, so that a replay of it is refused after a restart of PHM;
-              raises OSError when it cannot be stored.
+              raises OSError when it cannot be stored, TimeoutError when that takes too long.
     clock_problem: why the age of signed commands is unknown, else empty.
     """
 

@@ -11,6 +11,7 @@ import os
 import stat
 import threading
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
 
@@ -23,7 +24,9 @@ from phm.probes.blocking_call import BlockingCallWorker
 from phm.probes.inotify import FileWatcher
 
 INSPECT_S = 1.5
-"""Deadline of one inspection; opening a device with a stuck driver can hang."""
+"""Deadline of looking at a device, and of opening it; opening one with a stuck driver can hang."""
+MOST_OPENED = 64
+"""So many devices are each opened in a thread of their own; further ones in the thread that looks at all."""
 DESCRIPTION_S = 10.0
 """How long the description of a port is cached."""
 _MOST_DESCRIPTIONS = 64
@@ -66,16 +69,26 @@ class Devices:
         self._root = Path(settings.dev_root)
         self._clock = clock
         self._worker = BlockingCallWorker("devices")
-        self._lock = threading.Lock()
+        self._openers: dict[Path, BlockingCallWorker] = {}
+        """Of each opened device: one that hangs must not hide the others."""
+        self._opening, self._lock = threading.Lock(), threading.Lock()
         self._described: dict[str, tuple[float, str]] = {}
 
     def close(self) -> None:
-        """End the thread; later calls raise CannotTell."""
+        """End the threads; later calls raise CannotTell."""
         self._worker.close()
+        with self._opening:
+            for opener in self._openers.values():
+                opener.close()
 
     def inspect(self, path: str, *, open_it: bool) -> DeviceFact | None:
         """The device at the host's `path`; the fact's path is the real one, with links followed."""
-        return self._worker.call(lambda: self._inspect_and_watch(path, open_it), INSPECT_S)
+        fact = self._worker.call(lambda: self._inspect_and_watch(path), INSPECT_S)
+        if fact is None or not open_it or not fact.character or fact.openable is False:
+            return fact
+        place = self._place(PurePosixPath(fact.path))
+        openable, reason = self._opener(place).call(lambda: _opened(place), INSPECT_S)
+        return None if reason == _GONE else replace(fact, openable=openable, reason=reason)
 
     def serial_ports(self) -> tuple[DeviceFact, ...]:
         return self._worker.call(self._serial_ports, INSPECT_S)
@@ -90,6 +103,12 @@ class Devices:
             raise FileNotFoundError(errno.ENOENT, "it does not exist", path)
         return self._place(real)
 
+    def _opener(self, place: Path) -> BlockingCallWorker:
+        with self._opening:
+            if place not in self._openers and len(self._openers) >= MOST_OPENED:
+                return self._worker
+            return self._openers.setdefault(place, BlockingCallWorker(f"open-{place.name}"))
+
     def _matching(self, patterns: Sequence[str], without: Sequence[str]) -> tuple[DeviceFact, ...]:
         self._check_root()
         fresh = [self._watch_folders(PurePosixPath(pattern)) for pattern in (*patterns, *without)]
@@ -97,7 +116,7 @@ class Devices:
             self._matching_changed()  # it may have changed between the start of the watch and an earlier inspection
         found: list[DeviceFact] = []
         for path in sorted(self._real_paths(patterns) - self._real_paths(without)):
-            fact = self._inspect(path, open_it=False)
+            fact = self._inspect(path)
             if fact is not None and (fact.character or fact.block):
                 found.append(fact)
             if len(found) == DeviceFact.MAX_MATCHES:
@@ -123,16 +142,16 @@ class Devices:
                 f"the host's /dev is not at {self._root}: mount it there, read-only, or correct host.dev_root"
             )
 
-    def _inspect_and_watch(self, path: str, open_it: bool) -> DeviceFact | None:
+    def _inspect_and_watch(self, path: str) -> DeviceFact | None:
         steps: list[PurePosixPath] = []
-        fact = self._inspect(path, open_it, steps)
+        fact = self._inspect(path, steps)
         fresh = [self._watch(str(self._place(step.parent)), step.name) for step in steps]
         if any(fresh):
             self._changed()  # it may have changed between the inspection and the start of the watch
         return fact
 
-    def _inspect(self, path: str, open_it: bool, steps: list[PurePosixPath] | None = None) -> DeviceFact | None:
-        """The device; each step of the path to it is added to `steps`."""
+    def _inspect(self, path: str, steps: list[PurePosixPath] | None = None) -> DeviceFact | None:
+        """The device, without opening it; each step of the path to it is added to `steps`."""
         self._check_root()
         real = self._resolve(PurePosixPath(os.path.normpath(path)), [] if steps is None else steps)
         if real is None:
@@ -148,9 +167,10 @@ class Devices:
             return DeviceFact(
                 str(real), False, 0, 0, None, reason=_kind(seen.st_mode), block=stat.S_ISBLK(seen.st_mode)
             )
-        openable, reason = self._usable(place, seen, open_it)
-        if reason == _GONE:
-            return None
+        openable: bool | None = None
+        reason = "" if os.access(place, os.R_OK | os.W_OK) else "PHM itself may not open it"
+        if not seen.st_mode & 0o666:
+            openable, reason = False, "its mode allows no user to read or write"
         major, minor = os.major(seen.st_rdev), os.minor(seen.st_rdev)
         return DeviceFact(str(real), True, major, minor, openable, reason, self._describe(real.name), seen.st_ino)
 
@@ -181,28 +201,13 @@ class Devices:
             done = PurePosixPath("/")
         return done
 
-    @staticmethod
-    def _usable(place: Path, seen: os.stat_result, open_it: bool) -> tuple[bool | None, str]:
-        """Whether the device can be used, and the reason if not or if unknown."""
-        if not seen.st_mode & 0o666:
-            return False, "its mode allows no user to read or write"
-        if not open_it:
-            return None, "" if os.access(place, os.R_OK | os.W_OK) else "PHM itself may not open it"
-        try:
-            os.close(os.open(place, _OPENING))
-        except FileNotFoundError:
-            return None, _GONE
-        except OSError as error:
-            return _ERRORS.get(error.errno or 0, (False, error.strerror or str(error)))
-        return True, ""
-
     def _serial_ports(self) -> tuple[DeviceFact, ...]:
         found = []
         for pattern in _PORTS:
             for place in sorted(self._root.glob(pattern)):
                 if pattern == "ttyS*" and not _fitted(place.name):
                     continue  # the kernel creates nodes for ports that the board does not have
-                fact = self._inspect(f"/dev/{place.name}", open_it=False)
+                fact = self._inspect(f"/dev/{place.name}")
                 if fact is not None and fact.character:
                     found.append(fact)
         return tuple(found)
@@ -232,6 +237,17 @@ def _names(folder: Path) -> list[str]:
 
 _GONE = "gone"
 """The device disappeared between looking and opening."""
+
+
+def _opened(place: Path) -> tuple[bool | None, str]:
+    """Open and close it: whether it can be used, and the reason if not or if unknown."""
+    try:
+        os.close(os.open(place, _OPENING))
+    except FileNotFoundError:
+        return None, _GONE
+    except OSError as error:
+        return _ERRORS.get(error.errno or 0, (False, error.strerror or str(error)))
+    return True, ""
 
 
 def _port_words(name: str) -> str:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import contextlib
 import os
 import selectors
-import signal
 import subprocess
 import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from phm.core import process_group
 from phm.core.clock import Clock
 from phm.facts import CannotTell, ContainerFact, NotPermitted, ProcessFact, ProgramFact
 from phm.transport.docker import NEVER_STARTED, DockerEngine, EngineMissing, EngineTimeout
@@ -44,6 +44,8 @@ class Programs:
         self._unfinished: dict[tuple[str, tuple[str, ...]], tuple[str, float]] = {}
         """The id of a program that is not known to have ended, and until when the engine may still start it."""
         self._running: set[int] = set()
+        self._hung: dict[tuple[str, ...], subprocess.Popen[bytes]] = {}
+        """Programs beside PHM that were killed and may not have ended yet."""
         self._closed = False
         self._lock = threading.Lock()
 
@@ -52,7 +54,7 @@ class Programs:
         with self._lock:
             self._closed = True
             for pid in self._running:
-                _kill(pid)
+                process_group.kill(pid)
 
     def run(self, argv: Sequence[str], *, timeout_s: float, container: str = "") -> ProgramFact:
         until = self._clock.mono() + timeout_s
@@ -124,19 +126,23 @@ class Programs:
 
     def _beside(self, argv: Sequence[str], until: float, timeout_s: float) -> ProgramFact:
         began = self._clock.mono()
+        hung = self._hung.get(tuple(argv))
+        if hung is not None and hung.poll() is None:
+            raise CannotTell(f"{argv[0]} of an earlier run was killed and has not ended")
         program = self._started(argv)
         try:
             output, errors, ended = self._read(program, until)
         finally:
             with self._lock:
                 self._running.discard(program.pid)
-            _kill(program.pid)  # it is not reaped yet, so the number is still its own
-            code = program.wait()
+            if not process_group.end(program):
+                self._hung[tuple(argv)] = program
             for stream in (program.stdout, program.stderr):
                 if stream is not None:
                     stream.close()
         if not ended:
             raise CannotTell(f"{argv[0]} did not end within {timeout_s:g} s and was killed")
+        code = program.returncode
         if code < 0:
             raise CannotTell(f"{argv[0]} was ended by signal {-code}")
         return ProgramFact(code, _text(output or errors), self._clock.mono() - began)
@@ -160,7 +166,7 @@ class Programs:
         with self._lock:
             self._running.add(program.pid)
             if self._closed:  # meanwhile
-                _kill(program.pid)
+                process_group.kill(program.pid)
         return program
 
     def _read(self, program: subprocess.Popen[bytes], until: float) -> tuple[bytes, bytes, bool]:
@@ -184,11 +190,6 @@ class Programs:
                 if not selector.get_map() and not ended:
                     self._clock.wait(threading.Event(), min(left_s, 0.01))
         return b"", b"", False
-
-
-def _kill(group: int) -> None:
-    with contextlib.suppress(OSError):
-        os.killpg(group, signal.SIGKILL)
 
 
 def _has_ended(pid: int) -> bool:

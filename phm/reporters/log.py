@@ -77,7 +77,8 @@ class LogReporter(Reporter):
         self._received = ReceivedHeartbeats(context.mavlink, clock)
         start = {"version": __version__, "pid": os.getpid(), "interval_s": settings.interval_s}
         start["machine_boot"] = context.machine_boot
-        self._put(clock.stamp(), "start", "PHM", start)
+        # Written by the log's own thread, with its first event or tick: a disk that hangs must not keep PHM from starting.
+        self._record.put(self._line(clock.stamp(), "start", "PHM", start))
 
     @classmethod
     def build(cls, context: ReporterContext) -> LogReporter:
@@ -119,9 +120,13 @@ class LogReporter(Reporter):
         self._plain.write(encode(f"{clock_text(at.utc)} ---- {FLIGHT}: {change.text}"))
 
     def _put(self, at: Stamp, name: str, kind: str, body: dict[str, Any], *, sync: bool = False) -> None:
+        self._record.write(self._line(at, name, kind, body), sync=sync)
+
+    def _line(self, at: Stamp, name: str, kind: str, body: dict[str, Any]) -> bytes:
+        """The next line of the record."""
         self._seq += 1
         when = {"seq": self._seq, "mono": round(at.mono, 6), "utc": iso(at.utc), "utc_s": round(at.utc, 6)}
-        self._record.write(_dump({"v": VERSION, **self._head, **when, "event": name, "kind": kind, **body}), sync=sync)
+        return _dump({"v": VERSION, **self._head, **when, "event": name, "kind": kind, **body})
 
     def _bodies(self, event: Event) -> Iterator[tuple[Stamp, str, str, dict[str, Any]]]:
         """The JSON lines of one event as (stamp, event, kind, further keys)."""

@@ -5,6 +5,7 @@ Nothing here waits: a separate thread sends. What is too much is counted, and th
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import subprocess
@@ -12,7 +13,7 @@ import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from phm.core import threads
+from phm.core import process_group, threads
 from phm.core.bounded_queue import BoundedQueue
 from phm.core.extras import remedy
 from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Outcome, Phase
@@ -25,6 +26,7 @@ MISSING = f"notify.urls needs Apprise: {remedy('notify')}, or build the image wi
 MAX_WAITING = 100
 COMMAND_S = 10.0
 CLOSE_LIMIT_S = 2.0
+_TOO_MANY = "more than notify.per_minute, or sending takes too long"
 _ENDS = {Outcome.RESOLVED: "success", Outcome.REATTRIBUTED: "info"}
 """Apprise's type of the notification that a fault is closed. One with another outcome, or that is not closed: failure."""
 
@@ -46,8 +48,9 @@ class NotifyReporter(Reporter):
         self._why: dict[str, str] = {}
         """Why PHM gives up on faults, by their id."""
         self._limiter = RateLimiter(settings.per_minute / 60.0, float(settings.per_minute))
-        self._queue: BoundedQueue[Alert] = BoundedQueue(context.clock, MAX_WAITING)
-        self._left_out = 0
+        self._queue: BoundedQueue[tuple[int, Alert]] = BoundedQueue(context.clock, MAX_WAITING)
+        """Alerts with their numbers, which show what was left out."""
+        self._number = self._sent = 0
         self._problem = ""
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._loop, name="phm-notify", daemon=True)
@@ -58,7 +61,7 @@ class NotifyReporter(Reporter):
         settings = context.settings.notify
         senders: list[Send] = [lambda alert: send_to_urls(alert, settings.urls)] if settings.urls else []
         if settings.command:
-            senders.append(lambda alert: run_command(alert, settings.command))
+            senders.append(AlertCommand(settings.command))
         return cls(context, senders) if senders else None
 
     def handle(self, event: Event) -> None:
@@ -87,32 +90,33 @@ class NotifyReporter(Reporter):
     def _put(self, event: str, fault: Fault, detail: str = "") -> None:
         if event not in self._events:
             return
+        self._number += 1
         if not self._limiter.allow(self._clock.mono()):
-            self._left_out += 1
             return
-        left_out, self._left_out = self._left_out, 0
         words = {"open": "FAIL", "close": fault.outcome.value.upper(), "escalate": "GAVE UP"}[event]
         brief = fault.result.brief or fault.unit
         body = detail or f"{fault.unit}: {fault.result.summary}"
-        more = f" ({left_out} alerts before this one were left out: notify.per_minute)" if left_out else ""
-        self._queue.put(
-            {
-                "event": event,
-                "agent": self._agent.name,
-                "agent_id": self._agent.id,
-                "title": f"{agent_name(self._agent.id)} {words} {int(fault.slot)} {brief}",
-                "body": f"{self._agent.name}: {body}{more}",
-                "left_out": left_out,
-                "type": _ENDS.get(fault.outcome, "failure") if event == "close" else "failure",
-                "fault": fault_json(fault),
-            }
-        )
+        alert = {
+            "event": event,
+            "agent": self._agent.name,
+            "agent_id": self._agent.id,
+            "title": f"{agent_name(self._agent.id)} {words} {int(fault.slot)} {brief}",
+            "body": f"{self._agent.name}: {body}",
+            "left_out": 0,
+            "type": _ENDS.get(fault.outcome, "failure") if event == "close" else "failure",
+            "fault": fault_json(fault),
+        }
+        self._queue.put((self._number, alert))
 
     def _loop(self) -> None:
         last = False
         while not last:
             last = self._stop.is_set()
-            for alert in self._queue.take(0.0 if last else 1.0):
+            for number, alert in self._queue.take(0.0 if last else 1.0):
+                left_out, self._sent = number - self._sent - 1, number
+                if left_out:
+                    alert["left_out"] = left_out
+                    alert["body"] += f" ({left_out} alerts before this one were left out: {_TOO_MANY})"
                 problems = [problem for send in self._senders if (problem := _guarded(send, alert))]
                 self._problem = "; ".join(problems)
 
@@ -134,22 +138,35 @@ def send_to_urls(alert: Alert, urls: Sequence[str]) -> str:
     return "" if sent else "an alert could not be sent to all of notify.urls: address, network or password"
 
 
-def run_command(alert: Alert, command: Sequence[str]) -> str:
-    """With the alert as a JSON object on its standard input. No shell is used."""
-    try:
-        done = subprocess.run(
-            list(command),
-            input=json.dumps(alert).encode("ascii"),
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            timeout=COMMAND_S,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        return f"{command[0]} did not end within {COMMAND_S:g} s and was killed"
-    except OSError as error:
-        return f"{command[0]} cannot be started: {error.strerror or error}"
-    return "" if done.returncode == 0 else f"{command[0]} ended with exit code {done.returncode}"
+class AlertCommand:
+    """Runs a command with the alert as a JSON object on its standard input. No shell is used."""
+
+    def __init__(self, command: Sequence[str]) -> None:
+        self._command = list(command)
+        self._hung: subprocess.Popen[bytes] | None = None
+
+    def __call__(self, alert: Alert) -> str:
+        name = self._command[0]
+        if self._hung is not None and self._hung.poll() is None:
+            return f"{name} of an earlier alert was killed and has not ended"
+        try:
+            program = subprocess.Popen(
+                self._command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,
+            )
+        except OSError as error:
+            return f"{name} cannot be started: {error.strerror or error}"
+        try:
+            program.communicate(json.dumps(alert).encode("ascii"), COMMAND_S)
+        except subprocess.TimeoutExpired:
+            self._hung = None if process_group.end(program) else program
+            with contextlib.suppress(OSError):
+                program.stdin.close()  # type: ignore[union-attr]  # a pipe was requested
+            return f"{name} did not end within {COMMAND_S:g} s and was killed"
+        return "" if program.returncode == 0 else f"{name} ended with exit code {program.returncode}"
 
 
 def _guarded(send: Send, alert: Alert) -> str:

@@ -64,11 +64,15 @@ class RotatingFile:
 
     def write(self, line: bytes, *, sync: bool = False) -> None:
         """Append one line (without its newline). `sync` waits until it is on the disk."""
+        self.put(line)
+        self.retry(sync=sync)
+
+    def put(self, line: bytes) -> None:
+        """Keep one line for the next `write` or `retry`, without access to the disk."""
         if len(self._ring) >= RING_LINES:
             self._last_lost = self._ring.popleft()
             self._lost += 1
         self._ring.append(line)
-        self.retry(sync=sync)
 
     def retry(self, *, sync: bool = False, now: bool = False) -> None:
         """Write waiting lines, if the back-off has passed (or `now`)."""

@@ -193,9 +193,12 @@ class Components:
             holds=held,
         )
 
-    def join_networks(self) -> None:
-        """Join the networks of the configured containers. Never raises."""
-        join_all_networks(self.settings.containers, self.action_context, self.pipeline.note)
+    def join_networks(self, start_ros: Callable[[], None]) -> None:
+        """Join the networks of the configured containers, then start ROS. If the engine does not answer, ROS does not wait for it, and is
+        started again after a later join. Never raises."""
+        left = join_all_networks(self.settings.containers, self.action_context, self.pipeline.note, ros_runs=False)
+        start_ros()
+        join_all_networks(left, self.action_context, self.pipeline.note, ros_runs=True)
 
     # ------------------------------------------------------------ what flows back
 

@@ -97,8 +97,7 @@ class Daemon:
         parts.holds.start()
 
     def _join_networks(self) -> None:
-        self.components.join_networks()
-        self.components.probes.start_ros()
+        self.components.join_networks(self.components.probes.start_ros)
 
     def _report_unusable_plugins(self) -> None:
         groups: tuple[tuple[str, type], ...] = (

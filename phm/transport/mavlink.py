@@ -71,9 +71,9 @@ class MavlinkHub:
         return self._signing is not None
 
     def remember(self) -> None:
-        """Save the newest signing times, so that a signed frame is not accepted again after a restart of PHM. Waits for
-        the disk. Raises OSError with a sentence if they cannot be saved."""
-        if self._signing is not None and (problem := self._signing.save()):
+        """Save the newest signing times, so that a signed frame is not accepted again after a restart of PHM. Raises
+        OSError with a sentence if they cannot be saved, TimeoutError if the disk does not answer in time."""
+        if self._signing is not None and (problem := self._signing.save_in_time()):
             raise OSError(problem)
 
     def clock_problem(self) -> str:

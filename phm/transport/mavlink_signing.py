@@ -40,6 +40,8 @@ LAST = 2**48 - 10 * 365 * 86400 * TICKS
 MAX_STREAMS = 1024
 KEPT_STREAMS = 256
 SAVE_S = 30.0
+DISK_S = 2.0
+"""Longest wait for the disk before a command is executed, and at the start."""
 NAME = "mavlink_signing.json"
 MAX_FILE_BYTES = 65_536
 FORGED_SHOWN_S = 60.0
@@ -107,18 +109,24 @@ class Signing:
         self._problem = self._lost = ""
         self._lost_until = float("inf")
         self._forged_at = float("-inf")
-        self._stop = threading.Event()
+        self._answered = threading.Condition()
+        """Guards how many saves were requested of the thread, how many of these are done, and how the last one went."""
+        self._requested = self._done = 0
+        self._answer = ""
+        self._stop, self._wake = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._keep, name="phm-signing", daemon=True)
         self._load()
 
     def start(self) -> None:
         self._lost_until = self._clock.mono() + WARNED_S
-        self.save()
         threads.start(self._thread)
+        with contextlib.suppress(TimeoutError):  # a disk that hangs must not keep PHM from starting
+            self.save_in_time()
 
     def close(self, *, ended: bool = True) -> None:
         """Save the timestamps for the last time. ended: nothing is signed after this."""
         self._stop.set()
+        self._wake.set()
         self.save(ended=ended)
 
     def stamp(self) -> int:
@@ -190,9 +198,29 @@ class Signing:
             self._saved, self._problem = state, ""
             return ""
 
+    def save_in_time(self) -> str:
+        """As `save`, in the thread of `start`. Raises TimeoutError, immediately while an earlier call has not been answered, if the disk
+        does not answer within DISK_S."""
+        if not self._thread.is_alive():
+            return self.save()
+        with self._answered:
+            hangs = self._done < self._requested
+            self._requested += 1
+            mine = self._requested
+            self._wake.set()
+            if not self._answered.wait_for(lambda: self._done >= mine, 0.0 if hangs else DISK_S):
+                raise TimeoutError("the disk of state_dir does not answer")
+            return self._answer
+
     def _keep(self) -> None:
-        while not self._clock.wait(self._stop, SAVE_S):
-            self.save()
+        while not self._stop.is_set():
+            requested = self._requested  # before the state is read
+            answer = self.save()
+            with self._answered:
+                self._done, self._answer = requested, answer
+                self._answered.notify_all()
+            self._clock.wait(self._wake, SAVE_S)
+            self._wake.clear()
 
     def _load(self) -> None:
         if self._path is None:

@@ -70,7 +70,7 @@ class Scene:
             restart=lambda key, by: self._do(f"restart {key} for {by}"),
             note=lambda kind, text: self.notes.append(f"{kind}: {text}"),
             later=Later,
-            remember=lambda: self.did.append("remember"),
+            remember=lambda: self._do("remember"),
         )
         chosen = settings(
             agent={"id": 7}, containers=[{"name": "app"}, {"name": "db"}], mavlink={"commands": list(allowed)}
@@ -336,6 +336,15 @@ def test_an_impossible_action_is_refused_with_its_reason(raised: BaseException, 
     assert scene.result(long(31010, 3, 1)) == result
     assert scene.did == []
     assert len(scene.notes) == 1
+
+
+def test_a_disk_that_does_not_answer_rejects_a_signed_command_for_now() -> None:
+    """Others are answered as before."""
+    scene = Scene(*ALL, signs=True)
+    scene.raises = TimeoutError("the disk hangs")
+    assert scene.result(long(31010, 3, 1), signed=True) is CommandResult.TEMPORARILY_REJECTED
+    assert scene.did == [] and "the disk hangs" in scene.notes[0]
+    assert scene.result(long(512, 253), signed=True) is CommandResult.ACCEPTED
 
 
 def test_a_repeated_command_is_answered_and_not_executed_again() -> None:

@@ -14,6 +14,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from phm.testing import FakeClock
+from phm.transport import mavlink_signing
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink_codec import Codec
 from phm.transport.mavlink_signing import (
@@ -32,6 +33,7 @@ from phm.transport.mavlink_signing import (
     unsigned_of,
 )
 from tests.fakes.mavlink import Sender, heartbeat, text
+from tests.fakes.until import until
 
 KEY, OTHER = bytes(range(32)), bytes(32)
 NOW = 1_420_070_400 + 10 * 365 * 86400
@@ -350,6 +352,32 @@ def test_a_slower_save_does_not_replace_a_newer_one(tmp_path: Path) -> None:
     go.set()
     slower.join(60)
     assert Signing(KEY, at(NOW + 5), str(tmp_path)).check(recorded) is SignatureResult.OLD
+
+
+def test_a_disk_that_hangs_delays_start_and_commands_for_a_limited_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The next request is refused immediately. When the disk answers again, the newest state is stored."""
+    released, write = threading.Event(), mavlink_signing._write
+
+    def hang(path: Path, data: bytes) -> None:
+        released.wait()
+        write(path, data)
+
+    monkeypatch.setattr(mavlink_signing, "_write", hang)
+    monkeypatch.setattr(mavlink_signing, "DISK_S", 0.1)
+    signing = Signing(KEY, at(), str(tmp_path))
+    signing.start()
+    recorded = heartbeat_frame(ticks(NOW) + 1)
+    assert signing.check(recorded) is SignatureResult.GOOD
+    monkeypatch.setattr(mavlink_signing, "DISK_S", threading.TIMEOUT_MAX)
+    with pytest.raises(TimeoutError, match="does not answer"):
+        signing.save_in_time()
+    released.set()
+    until(lambda: signing._done == signing._requested, "the answers")
+    assert signing.save_in_time() == ""
+    assert Signing(KEY, at(NOW + 5), str(tmp_path)).check(recorded) is SignatureResult.OLD
+    signing.close()
 
 
 def test_consecutive_restarts_do_not_run_ahead_of_a_good_clock(tmp_path: Path) -> None:

@@ -17,12 +17,14 @@ from phm.core import threads
 from phm.core.bus import Bus
 from phm.core.closing import ShutdownSequence
 from phm.core.model import Event, Note, Phase, Stamp
+from phm.core.settings import ContainerSettings
 from phm.core.watchdog import DaemonWatchdog
 from phm.facts import CannotTell
 from phm.probes.blocking_call import BlockingCallWorker
 from phm.runtime.wiring import build_daemon
 from phm.testing import settings
 from phm.transport.dns import Resolver
+from phm.transport.docker import EngineTimeout
 from tests.checking.test_scheduler import Scripted
 from tests.fakes.until import until
 from tests.recovery.test_executor import World, make, worlds  # noqa: F401 - a fixture
@@ -275,4 +277,27 @@ def test_ros_is_started_whatever_the_result_of_joining_a_network(
     thread.join(LIMIT_S)
     assert started.is_set()
     assert any("could not join the networks of app: AttributeError" in text for text in notes)
+    daemon.stop()
+
+
+def test_ros_does_not_wait_for_a_hung_engine_for_each_container(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is started after the first call without an answer. The networks are joined after that, if the engine answers again."""
+    daemon = build_daemon(quiet(tmp_path, containers=[{"name": f"app{n}", "networks": ["n"]} for n in range(3)]))
+    did: list[str] = []
+
+    def hang(container: ContainerSettings, context: object) -> str:
+        did.append(f"join {container.key}")
+        raise EngineTimeout("no answer within 5 s")
+
+    def join(container: ContainerSettings, context: object) -> str:
+        did.append(f"join {container.key} again")
+        return ""
+
+    monkeypatch.setattr("phm.runtime.network_join.join_networks", hang)
+    monkeypatch.setattr("phm.runtime.network_join.rejoin_networks", join, raising=False)
+    monkeypatch.setattr(type(daemon.components.probes), "start_ros", lambda probes: did.append("start ROS"))
+    daemon._join_networks()
+    assert did == ["join app0", "start ROS", "join app0 again", "join app1 again", "join app2 again"]
     daemon.stop()

@@ -31,6 +31,7 @@ class Agent:
         agent = {"name": name or f"agent_{number}", "id": number}
         settings = {"agent": agent, "log": {"directory": str(folder), **log}, "state_dir": str(folder / "state")}
         self.log = LogReporter.build(context(Settings.model_validate(settings)))
+        self.log.tick()  # writes the first line
 
     def write(self, lines: int = 1) -> None:
         for _ in range(lines):

@@ -125,6 +125,32 @@ def test_each_error_of_opening_has_its_result(
     assert fact is not None and fact.openable is openable and fact.reason
 
 
+def test_a_device_that_hangs_while_it_is_opened_hides_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each device is opened in its own thread; only the one that hangs is unknown."""
+    released, made, opened = threading.Event(), probe(), os.open
+
+    def hang(path: Path, *rest: int, **named: int) -> int:
+        if str(path) == "/dev/zero":
+            released.wait()
+        return opened(path, *rest, **named)
+
+    monkeypatch.setattr(os, "open", hang)
+    monkeypatch.setattr(module, "INSPECT_S", 60.0)
+    made.inspect("/dev/zero", open_it=False)  # its thread runs, so that the next call waits for `open` alone
+    monkeypatch.setattr(module, "INSPECT_S", 0.5)
+    with pytest.raises(CannotTell):
+        made.inspect("/dev/zero", open_it=True)
+    monkeypatch.setattr(module, "INSPECT_S", 60.0)
+    other = made.inspect("/dev/null", open_it=True)
+    assert other is not None and other.openable
+    assert made.inspect("/dev/phm-no-such-device", open_it=True) is None
+    assert made.matching(["/dev/nul?"])
+    with pytest.raises(CannotTell, match="has not returned"):
+        made.inspect("/dev/zero", open_it=True)
+    released.set()
+    made.close()
+
+
 def test_a_file_without_a_device_behind_it_is_refused() -> None:
     """The kernel's own error: a process without a controlling terminal cannot open /dev/tty."""
     code = (

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import socket
+import subprocess
 import sys
 import threading
 from pathlib import Path
@@ -15,7 +16,7 @@ import pytest
 from phm import testing
 from phm.core.clock import SystemClock
 from phm.facts import CannotTell
-from phm.probes.programs import OUTPUT_BYTES, Programs
+from phm.probes.programs import AT_ONCE, OUTPUT_BYTES, Programs
 from phm.transport.docker import DockerEngine
 from phm_checks.custom import Custom
 from tests.fakes.until import until
@@ -105,6 +106,38 @@ def test_a_program_that_hangs_is_killed_with_its_children(programs: Programs, tm
             return True
 
     until(ended, "the end of the child")
+
+
+def test_programs_that_cannot_be_killed_do_not_use_up_the_places(
+    programs: Programs, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A thread waits for their end, as of one that hangs in the kernel. The same command is not started again before."""
+    released = threading.Event()
+
+    class Hung(subprocess.Popen[bytes]):
+        def wait(self, timeout: float | None = None) -> int:
+            if timeout is not None:
+                raise subprocess.TimeoutExpired(self.args, timeout)
+            assert threading.current_thread().name == "phm-reap", "it waits without a limit"
+            released.wait()
+            return super().wait()
+
+        def poll(self) -> int | None:
+            return super().poll() if released.is_set() else None
+
+    commands = [["/bin/sleep", str(600 + number)] for number in range(AT_ONCE)]
+    with monkeypatch.context() as patched:
+        patched.setattr(subprocess, "Popen", Hung)
+        for command in commands:
+            with pytest.raises(CannotTell, match="was killed"):
+                programs.run(command, timeout_s=0.1)
+    assert programs.run(["/bin/echo", "fine"], timeout_s=60).output == "fine\n"
+    with pytest.raises(CannotTell, match="has not ended"):
+        programs.run(commands[0], timeout_s=0.1)
+    released.set()
+    until(lambda: all(program.poll() is not None for program in programs._hung.values()), "the ends")
+    with pytest.raises(CannotTell, match="did not end"):
+        programs.run(commands[0], timeout_s=0.1)
 
 
 def test_a_child_that_keeps_the_output_open_delays_nothing(programs: Programs) -> None:

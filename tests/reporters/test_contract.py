@@ -57,7 +57,7 @@ def written(directory: Path) -> dict[str, set[str]]:
     clock.advance(WRITE_S)
     log.tick()
     log.close()
-    LogReporter.build(context(Settings(log=LogSettings(directory=str(directory / "logs")))))
+    LogReporter.build(context(Settings(log=LogSettings(directory=str(directory / "logs"))))).close()
     return {str(line["event"]): set(line) for line in json_log.read(directory / "logs")}
 
 

@@ -16,7 +16,7 @@ import pytest
 from phm.core.model import ActionEvent, Event, Level, Note, Outcome, Phase, Report, ReportStarted, Slot
 from phm.core.settings import LogSettings, Settings
 from phm.reporters.log import LogReporter
-from phm.reporters.rotating_file import FIRST_RETRY_S, RING_LINES
+from phm.reporters.rotating_file import FIRST_RETRY_S, RING_LINES, RotatingFile
 from phm.reporters.text_log_format import MAX_BYTES
 from phm.testing import FakeClock
 from phm.wire import json_log
@@ -55,6 +55,16 @@ def written(directory: Path, *events: Event) -> list[dict[str, object]]:
         log.handle(event)
     log.close()
     return list(json_log.read(directory))[1:]
+
+
+def test_a_disk_that_hangs_does_not_keep_phm_from_starting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The log's own thread writes the first line, before all others, also if PHM ends immediately."""
+    with monkeypatch.context() as patched:
+        patched.setattr(RotatingFile, "retry", lambda *_, **__: pytest.fail("it waits for the disk"))
+        log = make(tmp_path)
+    log.close()
+    assert [line["event"] for line in json_log.read(tmp_path)] == ["start"]
+    assert [line["event"] for line in written(tmp_path, Note(at(1), "NOTE", "hello"))] == ["start", "note"]
 
 
 def test_every_line_has_agent_boot_number_and_time(tmp_path: Path) -> None:

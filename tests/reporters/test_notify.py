@@ -18,6 +18,7 @@ import pytest
 
 from phm.api import Unit
 from phm.checking.pipeline import Pipeline
+from phm.core import process_group
 from phm.core.bus import Bus
 from phm.core.model import (
     ActionEvent,
@@ -209,11 +210,70 @@ def test_an_email_shows_text_from_outside_as_it_is() -> None:
     assert "log in" in "".join(parts.values()) and "<a href='http://example.org/'>" in parts.get("text/plain", body)
 
 
+def test_a_command_that_hangs_is_killed_with_its_children(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A later alert tries again."""
+    pids = tmp_path / "pids"
+    code = f"import os, time; child = os.fork(); open({str(pids)!r}, 'a').write(f'{{os.getpid()}}\\n'); time.sleep(600)"
+    command = notify.AlertCommand([sys.executable, "-c", code])
+    for limit_s in (2.0, 8.0, 32.0):  # a busy machine may need seconds to start Python
+        monkeypatch.setattr(notify, "COMMAND_S", limit_s)
+        assert command({}) == f"{sys.executable} did not end within {limit_s:g} s and was killed"
+        if pids.exists() and len(pids.read_text().split()) >= 2:
+            break
+    until(lambda: not any(runs(int(pid)) for pid in pids.read_text().split()), "the end of the command and its child")
+
+
+def test_a_command_that_cannot_be_killed_is_not_started_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing waits for it, as for one that hangs in the kernel."""
+    command = notify.AlertCommand(["/bin/sleep", "600"])
+    monkeypatch.setattr(notify, "COMMAND_S", 0.1)
+    monkeypatch.setattr(process_group, "kill", lambda group: None)
+    monkeypatch.setattr(process_group, "REAP_S", 0.1)
+    assert "did not end within 0.1 s" in command({})
+    assert command({}) == "/bin/sleep of an earlier alert was killed and has not ended"
+    hung = command._hung
+    assert hung is not None
+    hung.kill()
+    until(lambda: hung.poll() is not None, "its end")
+
+
+def test_what_a_slow_command_leaves_out_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The oldest alerts that wait are dropped."""
+    monkeypatch.setattr(notify, "MAX_WAITING", 2)
+    began, go, sent = threading.Event(), threading.Event(), list[int]()
+
+    def send(alert: dict[str, Any]) -> str:
+        began.set()
+        go.wait()
+        sent.append(alert["left_out"])
+        return ""
+
+    made = settings(notify={"command": ["x"], "per_minute": 60})
+    reporter = NotifyReporter(
+        ReporterContext(reporter_settings(made), FakeClock(), "b", tuple, lambda: True, dict), [send]
+    )
+    reporter.handle(FaultOpened(AT, FAULT))
+    assert began.wait(60.0)
+    for _ in range(5):
+        reporter.handle(FaultOpened(AT, FAULT))
+    go.set()
+    until(lambda: len(sent) == 3, "the alerts")
+    assert sent == [0, 3, 0]
+    reporter.close()
+
+
 def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is an extra, and imported only for an alert."""
     monkeypatch.setitem(sys.modules, "apprise", None)
     assert notify.send_to_urls({}, ["json://x"]) == notify.MISSING
     assert "install the extra 'notify' (in a clone of PHM: pip install '.[notify]')" in notify.MISSING
+
+
+def runs(pid: int) -> bool:
+    try:
+        return "\nState:\tZ" not in Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return False
 
 
 def test_alerts_are_limited_and_what_was_left_out_is_counted() -> None:

@@ -79,6 +79,19 @@ def test_forged_senders_fill_neither_memory_nor_the_log() -> None:
     assert len(bench.received._newest) == MOST_SENDERS and len(bench.take()) == MOST
 
 
+def test_a_new_sender_takes_the_place_of_the_one_that_was_silent_longest() -> None:
+    """Also long after senders that were heard only once."""
+    bench = Bench()
+    for system in range(MOST_SENDERS):
+        bench.receive(0, system)
+        bench.clock.advance(0.01)
+    bench.receive(EACH, 0)  # the first of them is heard again
+    bench.take()
+    bench.receive(0, 7, 193)
+    assert [frame[:3] for frame in bench.take()] == [(7, 193, 0)]
+    assert (0, 190) in bench.received._newest and (1, 190) not in bench.received._newest
+
+
 def test_without_links_nothing_is_received() -> None:
     """An agent without MAVLink."""
     clock = FakeClock()

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from phm.probes.ros.renewal_pace import RenewalPace
+
 DOUBT_S = 22.0
 """Listed twice for longer than any lease (Fast DDS: 20 s by default): either two nodes of one name are alive, or one is
 stale."""
@@ -22,6 +24,7 @@ class StaleNodes:
         self._twice_at: dict[str, float] = {}
         self._polled: dict[str, float] = {}
         """Nodes for which that was done, with the time when they were last listed more than once."""
+        self._pace = RenewalPace()
 
     def observe(self, nodes: Mapping[str, int], now: float) -> tuple[str, ...]:
         """nodes: how often each is listed. now: monotonic seconds."""
@@ -37,5 +40,7 @@ class StaleNodes:
                 name for name, at in self._twice_at.items() if now - at >= self._doubt_s and name not in self._polled
             )
         )
+        if not due or not self._pace.allows(now):
+            return ()
         self._polled.update(dict.fromkeys(due, now))
         return due

@@ -35,6 +35,8 @@ ARMED_S = 1.0
 """While there is a hold or a window, the armed state is checked this often."""
 WINDOWS_S, LABELS_S = 5.0, 30.0
 """Maintenance windows, and the labels that define some, are checked this often."""
+SLOW_S = 1.0
+"""An engine that takes longer for an answer is asked for the other containers later: a hung one takes the full deadline for each."""
 REPLAYED_S = 0.15
 """Once the event stream is open again, the engine sends the missed events within this time."""
 CLOSED_S = 3.0
@@ -98,8 +100,10 @@ class HoldService:
         self._windows = MaintenanceWindows(rules.maintenance, holds, lambda text: pipeline.note("HOLD", text))
         holds.explained_until = self._explained_until
         self._was_armed: bool | None = None
-        self._windows_at = self._labels_at = float("-inf")
+        self._windows_at = self._labels_due = float("-inf")
         self._labels: dict[str, str] = {}
+        self._unasked: list[str] = []
+        """Containers whose labels are checked next, before those of all again."""
         self._facts: dict[str, ContainerFact] = {}
         """The newest data of each container, also of a removed one: containers in its namespaces depend on it."""
         self._flight = FlightRules(containers, world.armed, self._facts, world.inspect)
@@ -318,6 +322,8 @@ class HoldService:
             try:
                 fact = self._world.container(key)
             except CannotTell:
+                if self._clock.mono() - now > SLOW_S:
+                    break
                 continue
             if fact is not None and (fact.running or (ended and fact.id != ended)):
                 found.add(key)
@@ -353,28 +359,41 @@ class HoldService:
     def _check_labels(self) -> None:
         """Called without the lock: a hung engine must not block others."""
         now = self._clock.mono()
-        if now - self._labels_at < LABELS_S:
+        if now < self._labels_due:
             return
-        self._labels_at = now
+        self._labels_due = now + LABELS_S
         # The event of a start may have been lost. Only for containers stopped before the request: the response may be older than a stop.
         stopped = {hold.target for hold in self._of_source(STOP)} | set(self._holds.stops())
-        for key in self._keys:
-            try:
-                fact = self._world.container(key)
-            except CannotTell:
-                continue
-            self._labels[key] = fact.maintenance if fact is not None else ""
-            if fact is not None:
-                self._facts[key] = fact
-            if fact is not None and fact.running:
-                self._died.discard(key)
-                if key not in self._seen or key in stopped:
-                    with self._lock:  # perhaps it was started while PHM was not running
-                        self._end_by_hand(key, _OVER["start"])
-            elif key not in self._seen:
-                self._died.add(key)
-            self._seen.add(key)
+        self._unasked = self._unasked or list(self._keys)
+        while self._unasked:
+            key = self._unasked.pop(0)
+            answered = self._check_label(key, key in stopped)
+            slow = self._clock.mono() - now > SLOW_S
+            if slow and not answered:
+                return
+            if slow and self._unasked:
+                self._labels_due = now + WINDOWS_S
+                return
         self._flight.observe()
+
+    def _check_label(self, key: str, stopped: bool) -> bool:
+        """stopped: by hand, as far as PHM knows. Returns whether the engine answered."""
+        try:
+            fact = self._world.container(key)
+        except CannotTell:
+            return False
+        self._labels[key] = fact.maintenance if fact is not None else ""
+        if fact is not None:
+            self._facts[key] = fact
+        if fact is not None and fact.running:
+            self._died.discard(key)
+            if key not in self._seen or stopped:
+                with self._lock:  # perhaps it was started while PHM was not running
+                    self._end_by_hand(key, _OVER["start"])
+        elif key not in self._seen:
+            self._died.add(key)
+        self._seen.add(key)
+        return True
 
     def _check_windows(self, now: Stamp) -> bool:
         """Begin and end the holds of maintenance windows. Returns whether there may be any windows."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from phm.probes.ros.renewal_pace import REST_MOST_S, REST_S
 from phm.probes.ros.stale_nodes import DOUBT_S, StaleNodes
 
 
@@ -27,3 +28,14 @@ def test_each_duplicate_is_doubted_once_until_it_was_single_for_long() -> None:
     stale_nodes.observe({"/a": 1}, 75.0)
     stale_nodes.observe({"/a": 2}, 76.0)
     assert stale_nodes.observe({"/a": 2}, 86.0) == ("/a",)
+
+
+def test_duplicates_that_come_and_go_cause_few_new_participants() -> None:
+    """Each one interrupts the observation of ROS. Two nodes, each of them listed twice and once in turn."""
+    stale_nodes, renewed = StaleNodes(), list[int]()
+    for second in range(3600):
+        turn = second // 24 % 2
+        if stale_nodes.observe({"/a": 2 - turn, "/b": 1 + turn}, float(second)):
+            renewed.append(second)
+    assert 4 <= len(renewed) <= 8
+    assert renewed[1] - renewed[0] >= REST_S and renewed[-1] - renewed[-2] >= REST_MOST_S / 2

@@ -8,11 +8,13 @@ from typing import Any
 import pytest
 
 from phm.core.model import FaultClosed, Level, Outcome, Phase
+from phm.facts import CannotTell
 from phm.recovery.executor import NotApprovable, NotNow
 from phm.recovery.holds.hold_registry import ALL
 from phm.recovery.holds.hold_service import LABELS_S, HoldRefused
 from phm.recovery.safety.armed_state import ArmedState as ArmedState
 from tests.recovery.holds.scene import BY, LONG_BACKOFF, Scene, stopped
+from tests.recovery.simulated_agent import Containers
 
 
 def test_a_bad_unit_on_hold_is_stale_without_an_alarm(scene: Scene) -> None:
@@ -23,6 +25,28 @@ def test_a_bad_unit_on_hold_is_stale_without_an_alarm(scene: Scene) -> None:
     assert scene.level() is scene.level("nodes/app") is Level.STALE
     assert "on hold until" in scene.summary() and BY in scene.summary() and "new firmware" in scene.summary()
     assert scene.agent.opened() == [] and scene.agent.runs == []
+
+
+def test_a_hung_engine_does_not_delay_the_end_of_a_hold() -> None:
+    """It is asked for one container; for the next ones later."""
+    names = [f"app{number}" for number in range(8)]
+    scene = Scene(containers=Containers("app", "cam", *names))
+    asked: list[str] = []
+
+    def hang(key: str) -> None:
+        asked.append(key)
+        scene.clock.advance(5.0)
+        raise CannotTell("the Docker Engine did not answer within 5 s")
+
+    scene.service._world = replace(scene.service._world, container=hang)
+    scene.hold(for_s=LABELS_S)
+    for seen in 1, 2:
+        scene.clock.advance(LABELS_S)
+        began = scene.clock.mono()
+        scene.service.tick()
+        assert scene.clock.mono() - began <= 5.0 and len(set(asked)) == len(asked) == seen
+        assert scene.service.snapshot() == []
+    scene.stop()
 
 
 def test_other_containers_are_not_affected(scene: Scene) -> None:
