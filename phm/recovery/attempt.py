@@ -208,7 +208,7 @@ class Attempt:
             words = f"{target} was started again {verified.superseded_by} before {name} was verified"
             return AttemptOutcome(False, words, superseded=True, not_counted=verified.not_counted)
         # After the last step nothing more can be done for what has not recovered: it is reported as separate faults.
-        if not verified.missing or (self._last and verified.missing != unit):
+        if not verified.missing or (self._last and verified.partly):
             words = f"{unit} is OK again {self._clock.mono() - self._began:.1f} s after the action began"
             other = "no action was needed" if not_needed else self._other_cause()
             self._credited = not other

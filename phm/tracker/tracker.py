@@ -117,6 +117,12 @@ class Tracker:
             if record.started >= mono and record.unknown and record.ok_since_start_s(mono) > 0
         )
 
+    def dependencies(self, unit: str) -> tuple[str, ...]:
+        """Dependencies of `unit` in the same target, causes first, without those that are published as a separate fault."""
+        record = self._units[unit]
+        above = (other for other in self._view.upstream(unit) if record.target and other.target == record.target)
+        return tuple(other.id for other in above if other.fault is None and not other.published_given_up)
+
     def starved_by(self, unit: str, now: Stamp) -> str:
         """The pressure unit that explains this unit's problem, now or until a moment ago; empty: none.
 
