@@ -304,7 +304,8 @@ def _known(record: UnitRecord) -> bool:
 
 
 def _cause(context: RuleContext, *, by_starvation: bool = False) -> str:
-    """The first dependency that is failing (by starvation alone or not) or whose OK is held back.
+    """The first dependency that is failing (by starvation alone or not) or whose OK is held back. That a running container is not on its
+    network does not follow from a container whose OK is only held back.
 
     If recovery works on that one, the unit whose fault is being recovered.
     """
@@ -316,8 +317,11 @@ def _cause(context: RuleContext, *, by_starvation: bool = False) -> str:
 
 
 def _dependency(context: RuleContext, *, by_starvation: bool = False) -> UnitRecord | None:
+    held_back = not _detached(context)
     for other in _possible_causes(context):
-        if (other.failing or _unverified(other, context)) and _merely_starved(other, context) is by_starvation:
+        if (other.failing or (held_back and _unverified(other, context))) and _merely_starved(
+            other, context
+        ) is by_starvation:
             return other
     return None
 

@@ -1,4 +1,4 @@
-"""A container that ends while an action for another of its units is verified."""
+"""A container that ends, or is disconnected, while an action for another of its units is verified."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from phm.api import stale
-from phm.core.model import Fault, Phase
+from phm.api import error, stale
+from phm.core.model import Evidence, Fault, Phase
 from phm.recovery.base import ActionContext
 from phm.testing import FakeClock
 from tests.recovery.simulated_agent import Agent, Containers, Of
@@ -47,3 +47,37 @@ def test_a_container_that_exits_during_a_verification_is_started_soon(agent: Age
     assert agent.acted() == ["restart", "start"]
     failed = next(event for event in agent.actions() if event.phase is Phase.FAILED)
     assert failed.detail == "restart app did not recover container/app"
+
+
+def test_a_container_that_starts_without_its_network_is_reconnected_and_not_restarted() -> None:
+    """It runs, so its start has worked; only the network explains that its nodes are lost."""
+    units = {
+        "container/app": Of("app"),
+        "network/app": Of("app", ("container/app",), grace_s=3.0),
+        "nodes/app": Of("app", ("container/app", "network/app"), grace_s=8.0),
+    }
+    ladders = {"exited": ["start", "restart"], "disconnected": ["reconnect", "restart"], "node_missing": ["restart"]}
+    agent = Agent(units, Containers("app"), FakeClock(), actions=("start", "restart", "reconnect"), ladders=ladders)
+    detached = error("not on net", brief="not on net", condition="disconnected", target="app")
+
+    def act(key: str, context: ActionContext, fault: Fault) -> None:
+        agent.bad.clear()
+        agent.found.clear()
+        if fault.unit == "container/app":
+            agent.containers.start(key)
+            agent.pipeline.container_started(key)
+            agent.found["network/app"] = detached.with_evidence(Evidence(conclusive=True))
+            agent.bad["nodes/app"] = "node_missing"
+
+    agent.behave = act
+    agent.rest(12.0)
+    agent.containers.end("app")
+    agent.pipeline.container_ended("app")
+    agent.bad["container/app"] = "exited"
+    agent.found |= {"network/app": stale("not running"), "nodes/app": stale("not running")}
+    agent.rest(10.0)
+    assert agent.opened() == ["container/app", "network/app"]
+    assert agent.acted() == ["start", "reconnect"]
+    assert not agent.pipeline.open_faults()
+    agent.stop()
+    agent.clock.advance(1000)
