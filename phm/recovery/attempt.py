@@ -123,7 +123,7 @@ class Attempt:
         guard: FlightCriticalGuard | None,
         verify_s: float,
     ) -> None:
-        """last: no step of the ladder follows. approved_at: the armed state at which an operator approved it; None: not.
+        """last: no step of the ladder follows, or may follow now. approved_at: the armed state at which an operator approved it; None: not.
         guard: None when no container is flight-critical. verify_s: limit of the verification.
         """
         self._target, self._fault, self._last = target, fault, last

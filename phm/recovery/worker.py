@@ -310,6 +310,9 @@ class TargetWorker:
         guard = self._rules.guard
         return guard.forbids(self._name, self._catalog.impact(action)) if guard is not None else ""
 
+    def _forbidden_now(self, action: str) -> bool:
+        return action not in self._catalog.unrestricted and bool(self._forbids(action))
+
     def _on_hold(self) -> bool:
         status = self._rules.hold_status(self._name, self._clock.mono())
         return status.hold is not None or status.undecided is not None
@@ -342,7 +345,8 @@ class TargetWorker:
             self._reporter.report_once(case, act.action, Phase.FAILED, what)
             case.refused = True
             return 0
-        last = self._catalog.is_last(self._target, fault, act.action)
+        # In flight the next step may be forbidden: it does not follow, and this one, done again, would change nothing.
+        last = all(self._forbidden_now(step) for step in self._catalog.following(self._target, fault, act.action))
         approved_at = case.approval.situation.armed if case.approval is not None else None
         attempt = self._new_attempt(self._target, fault, action, last=last, approved_at=approved_at, alone=act.alone)
         away = self._engine_away()
