@@ -373,8 +373,7 @@ class TargetWorker:
             return RETRY_S
         case.approval, case.interrupted = None, False
         self._under_way = UnfinishedAction(fault.id, record)
-        self._carry_out(case, act, attempt, record)
-        return 0
+        return self._carry_out(case, act, attempt, record)
 
     def _engine_away(self) -> str:
         """Why no action on the container can succeed now, as a sentence; empty: the Docker Engine answers. An attempt would only fail.
@@ -406,7 +405,8 @@ class TargetWorker:
             return ""
         return f"it was created, and it is not known whether it has been started: {own.summary}"
 
-    def _carry_out(self, case: FaultCase, act: Act, attempt: Attempt, record: AttemptRecord) -> None:
+    def _carry_out(self, case: FaultCase, act: Act, attempt: Attempt, record: AttemptRecord) -> float:
+        """Seconds to wait before deciding again."""
         worked, before = False, self._generations.current(self._name)
         publish = partial(self._reporter.report, case.fault, act.action, attempt=act.attempt)
 
@@ -418,7 +418,7 @@ class TargetWorker:
         try:
             outcome = attempt.run(report, lambda: self._stopping, lambda: self._another_calls(case))
             if self._stopping and not outcome.worked:
-                return  # interrupted by the end of PHM: the state file still says that it is under way
+                return 0  # interrupted by the end of PHM: the state file still says that it is under way
             worked = outcome.worked or outcome.undecided
             case.refused = outcome.refused
             self._changes.attempted(self._current(), case, before, superseded=outcome.superseded)
@@ -428,6 +428,7 @@ class TargetWorker:
             )
             self._end(None if outcome.postponed else done)
             report(outcome.phase, outcome.detail)
+            return MISSING_S if outcome.postponed else 0
         finally:
             if self._under_way is not None and not self._stopping:
                 self._end(record)
