@@ -42,8 +42,8 @@ INTERRUPTED_S = 20.0
 """A target whose action was interrupted is held this long, beyond the unit's grace, unless it recovers before."""
 MISSING_S = 1.0
 """While something that an action needs is missing, PHM checks for it this often; usually an event comes first."""
-ENDED = "exited"
-"""The condition of a container that an operator may have stopped; for one that may have been paused see `PAUSED`."""
+ENDED = ("exited", "oom")
+"""Conditions of a container that an operator may have stopped; for one that may have been paused see `PAUSED`."""
 NOT_STARTED = "not_started"
 """The condition of a container that was created and waits for its first start (`phm_checks.container`)."""
 NOT_STARTED_S = 60.0
@@ -285,7 +285,7 @@ class TargetWorker:
     def _decide(self, fault: Fault, *, approved: bool, given_up: bool = False) -> Decision:
         now, rules = self._clock.stamp(), self._rules
         condition = fault.result.condition
-        status = rules.hold_status(self._name, now.mono, ended=condition == ENDED, paused=condition == PAUSED)
+        status = rules.hold_status(self._name, now.mono, ended=condition in ENDED, paused=condition == PAUSED)
         return decide(
             fault,
             self._history,
