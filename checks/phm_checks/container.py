@@ -14,12 +14,14 @@ from phm_checks._restart_loop import OTHER_STARTS, STABLE_S, RestartLoop
 from phm_checks._restart_trend import RestartTrend
 from phm_checks._text import brief, clean, span
 
+KILLED = 137
+"""Exit code of a container that was ended by SIGKILL."""
 _CODES = {
     0: "exited by itself without an error",
     125: "Docker could not run it",
     126: "its command cannot be executed: check the file's execute bit and its format",
     127: "its command was not found: check the image's entry point and PATH",
-    137: "killed by SIGKILL: by `docker kill`, by a stop that took too long, or for lack of memory",
+    KILLED: "killed by SIGKILL: by `docker kill`, by a stop that took too long, or for lack of memory",
     143: "ended by SIGTERM, as `docker stop` sends it",
     139: "segmentation fault (SIGSEGV): a bug in native code, look for a core dump",
     134: "aborted itself (SIGABRT), e.g. by a failed assertion",
@@ -255,14 +257,16 @@ class Container(PerContainer):
         return self._bad("restarting", words, "crash loop", values).with_evidence(api.Evidence(subjects=_STABLE))
 
     def _exited(self, fact: api.ContainerFact, said: str, values: dict[str, api.Value]) -> api.Result:
-        if fact.oom_killed:
+        # The engine has the flag, too, if the kernel has killed another process of this run than the first.
+        if fact.oom_killed and fact.exit_code == KILLED:
             words = (
                 f"{self.key} was killed for lack of memory (exit code {fact.exit_code}), expected running.{said} Raise its "
                 f"memory limit or find the leak; `docker start {fact.name}`"
             )
             return self._bad("oom", words, "out of memory", values)
+        killed = " In this run the kernel killed a process in it for lack of memory." if fact.oom_killed else ""
         words = (
-            f"{self.key} exited with code {fact.exit_code} ({code_in_words(fact.exit_code)}), expected running.{said} "
+            f"{self.key} exited with code {fact.exit_code} ({code_in_words(fact.exit_code)}), expected running.{said}{killed} "
             f"`docker logs {fact.name}` shows more; `docker start {fact.name}` starts it"
         )
         return self._bad("exited", words, f"exited {fact.exit_code}", values)

@@ -171,6 +171,11 @@ class Pipeline:
         with self._lock:
             return self._tracker.unknown_dependents(unit, mono)
 
+    def dependencies(self, unit: str) -> tuple[str, ...]:
+        """Dependencies of `unit` in the same target without a separate fault: see `Tracker.dependencies`."""
+        with self._lock:
+            return self._tracker.dependencies(unit)
+
     def bad_since(self, unit: str, mono: float) -> bool:
         """Whether the unit is still in ERROR by a run that began after `mono`: see `Tracker.confirmed_bad`."""
         with self._lock:

@@ -13,7 +13,7 @@ from typing import Any, cast
 from phm.core import threads
 from phm.core.clock import Clock
 from phm.core.model import Fault, Phase
-from phm.facts import CannotTell, NotPermitted
+from phm.facts import CannotTell, NoResponse, NotPermitted
 from phm.recovery.base import (
     Action,
     ActionContext,
@@ -23,6 +23,7 @@ from phm.recovery.base import (
     NotNeeded,
     NotYet,
     Target,
+    TargetKind,
 )
 from phm.recovery.ownership import SETTLED_S, Shared, TargetBusy
 from phm.recovery.safety.armed_state import ArmedState
@@ -123,7 +124,7 @@ class Attempt:
         guard: FlightCriticalGuard | None,
         verify_s: float,
     ) -> None:
-        """last: no step of the ladder follows. approved_at: the armed state at which an operator approved it; None: not.
+        """last: no step of the ladder follows, or may follow now. approved_at: the armed state at which an operator approved it; None: not.
         guard: None when no container is flight-critical. verify_s: limit of the verification.
         """
         self._target, self._fault, self._last = target, fault, last
@@ -147,6 +148,8 @@ class Attempt:
         earlier = self._still_running()
         if earlier is not None and not earlier.hangs:
             return f"an earlier {earlier._type.name} for {earlier._fault.unit} still runs"
+        if unanswered := self._unanswered():
+            return unanswered
         try:
             return self._action.waits_for(self._target, self._fault, self._context)
         except (CannotTell, ActionFailed):
@@ -154,6 +157,18 @@ class Attempt:
         except BaseException:  # plug-in code: even SystemExit must not end the worker
             logger.exception("action %s failed in `waits_for`", self._type.name)
             return ""
+
+    def _unanswered(self) -> str:
+        """Why the engine does not describe the container, as a sentence; empty: it does, or there is another problem."""
+        if self._target.kind is not TargetKind.CONTAINER:
+            return ""
+        try:
+            self._context.container(self._target.name)
+        except NoResponse as error:
+            return str(error)
+        except CannotTell:
+            pass
+        return ""
 
     def begin(self) -> bool:
         """Lock the target, and begin the action in the tracker; False when nothing was begun, which does not count as an attempt.
@@ -208,7 +223,7 @@ class Attempt:
             words = f"{target} was started again {verified.superseded_by} before {name} was verified"
             return AttemptOutcome(False, words, superseded=True, not_counted=verified.not_counted)
         # After the last step nothing more can be done for what has not recovered: it is reported as separate faults.
-        if not verified.missing or (self._last and verified.missing != unit):
+        if not verified.missing or (self._last and verified.partly):
             words = f"{unit} is OK again {self._clock.mono() - self._began:.1f} s after the action began"
             other = "no action was needed" if not_needed else self._other_cause()
             self._credited = not other
@@ -317,7 +332,8 @@ class Attempt:
         except NotYet as error:
             return AttemptOutcome(False, str(error), not_counted=True, postponed=True)
         except (ActionFailed, CannotTell) as error:
-            return AttemptOutcome(False, str(error))
+            nothing_done = isinstance(error, NoResponse) and not self._engine.changed and bool(self._unanswered())
+            return AttemptOutcome(False, str(error), not_counted=nothing_done, postponed=nothing_done)
         except BaseException as error:  # plug-in code: even SystemExit must end only this attempt
             logger.exception("action %s crashed", self._type.name)
             return AttemptOutcome(False, f"the action crashed: {type(error).__name__}: {error}")
@@ -384,6 +400,8 @@ class GuardedEngine:
         self._unanswered = 0
         self.abandoned = False
         """Whether the action was given up: it may only finish what it has begun."""
+        self.changed = False
+        """Whether a call that changes something was sent."""
         self._target = _Calls()
         self._dependents: list[_Calls] = []
 
@@ -397,6 +415,7 @@ class GuardedEngine:
             self._ask(name, str(given.get("container") or given.get("ref") or ""))
             calls = (self._dependents or [self._target]) if name in BEGINS_OR_ENDS else []
             self._may_disturb(calls, float("inf"))
+            self.changed = True
             try:
                 result = found(*args, **kwargs)
             except EngineNotConnected:

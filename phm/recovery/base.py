@@ -332,9 +332,10 @@ class ActionCatalog:
         """
         return frozenset(self._steps(target, fault)) if target.configured else None
 
-    def is_last(self, target: Target, fault: Fault, name: str) -> bool:
-        """Whether no step of the fault's ladder follows this one."""
-        return name not in self._steps(target, fault)[:-1]
+    def following(self, target: Target, fault: Fault, name: str) -> tuple[str, ...]:
+        """The steps of the fault's ladder that follow this one."""
+        steps = self._steps(target, fault)
+        return steps[steps.index(name) + 1 :] if name in steps else ()
 
     def _steps(self, target: Target, fault: Fault) -> tuple[str, ...]:
         """The fault's ladder without steps that do not apply; all of it when the target is not configured."""

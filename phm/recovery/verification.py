@@ -12,7 +12,7 @@ from phm.core import threads
 from phm.core.model import Fault, Level, Result
 from phm.facts import CannotTell
 from phm.recovery.base import Action, ActionContext, Target
-from phm.recovery.ladders import OUTSIDE
+from phm.recovery.ladders import AGAIN_WHILE_IT_LASTS, DOWN, OUTSIDE
 from phm.recovery.ownership import Generation, Shared, StartedBy
 from phm.tracker.starvation import explanation
 
@@ -25,6 +25,8 @@ OTHER_CAUSE_S = 5.0
 """`Action.other_cause` must answer within this time."""
 STILL_BAD_S = 2.0
 """A run that began this long after the action (beyond the unit's grace) and is still ERROR ends the wait."""
+NOT_SLOW = DOWN | AGAIN_WHILE_IT_LASTS
+"""Conditions that do not mean that something starts slowly: the engine shows a container that has ended or is on no network."""
 
 
 class CheckResults(Protocol):
@@ -35,6 +37,8 @@ class CheckResults(Protocol):
     def failing_dependents(self, unit: str, mono: float) -> tuple[str, ...]: ...
 
     def unknown_dependents(self, unit: str, mono: float) -> tuple[str, ...]: ...
+
+    def dependencies(self, unit: str) -> tuple[str, ...]: ...
 
     def newest(self, unit: str, mono: float) -> Result | None: ...
 
@@ -65,11 +69,11 @@ class VerificationResult:
 class Verification:
     """The verification of one action that ended at `done` (monotonic seconds). Pure.
 
-    The unit itself has `verify_s` to recover: less if it is certainly still bad, more while its check reports that only time
-    can show the result (a HEALTHCHECK that is `starting`). Dependents have their grace, unless one cannot come back by waiting
-    (`Evidence.certain`: its process has ended, for instance), or the action is `proven_by_unit`. Only check runs that began
-    `verify_after_s` after the action count; that time, `still_bad_after_s`, `dependents_within_s` and `proven_by_unit` are set by
-    the action (`phm.recovery.base.Action`).
+    The unit itself has `verify_s` to recover: less if it, or something in the container that it needs, is certainly still bad, more
+    while its check reports that only time can show the result (a HEALTHCHECK that is `starting`). Dependents have their grace,
+    unless one cannot come back by waiting (`Evidence.certain`: its process has ended, for instance), or the action is
+    `proven_by_unit`. Only check runs that began `verify_after_s` after the action count; that time, `still_bad_after_s`,
+    `dependents_within_s` and `proven_by_unit` are set by the action (`phm.recovery.base.Action`).
     """
 
     unit: str
@@ -103,16 +107,27 @@ class Verification:
         return (newest.decides_s or 0.0) if newest is not None and newest.level is Level.STALE else 0.0
 
     def _of_the_unit(self, checks: CheckResults, now: float, more_s: float) -> VerificationResult | None:
-        still_bad_s = self.still_bad_after_s
-        if still_bad_s is None:
-            still_bad_s = self.grace_s(self.unit) + STILL_BAD_S
-        newest = checks.newest(self.unit, self.done + still_bad_s + more_s)
-        if newest is not None and newest.level is Level.ERROR:
-            return VerificationResult(missing=self.unit, not_counted=newest.condition in OUTSIDE or self.starved)
+        # While the wait lasts, nothing else is done to the container: not if it has ended meanwhile, either.
+        above = ((name, checks.newest(name, self.done)) for name in checks.dependencies(self.unit))
+        failing = tuple(name for name, newest in above if newest is not None and newest.level is Level.ERROR)
+        self.waiting = (*failing, self.unit)
+        for name in self.waiting:
+            starved = self.starved and not self._is_not_slow(checks, name)
+            newest = checks.newest(name, self.done + self._still_bad_s(name) + (more_s if starved else 0.0))
+            if newest is not None and newest.level is Level.ERROR:
+                return VerificationResult(missing=name, not_counted=newest.condition in OUTSIDE or starved)
         decides_s = self.decides_s(checks)
         if now - self.done <= self.verify_s + decides_s + more_s:
             return None
         return VerificationResult(missing=self.unit, undecided=decides_s > 0, not_counted=self.starved)
+
+    def _still_bad_s(self, unit: str) -> float:
+        own_s = self.still_bad_after_s if unit == self.unit else None
+        return self.grace_s(unit) + STILL_BAD_S if own_s is None else own_s
+
+    def _is_not_slow(self, checks: CheckResults, unit: str) -> bool:
+        newest = checks.newest(unit, self.done)
+        return newest is not None and newest.level is Level.ERROR and newest.condition in NOT_SLOW
 
     def _of_dependents(self, checks: CheckResults, now: float, more_s: float) -> VerificationResult | None:
         counts_from = self.done + self.verify_after_s

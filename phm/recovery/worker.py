@@ -42,8 +42,8 @@ INTERRUPTED_S = 20.0
 """A target whose action was interrupted is held this long, beyond the unit's grace, unless it recovers before."""
 MISSING_S = 1.0
 """While something that an action needs is missing, PHM checks for it this often; usually an event comes first."""
-ENDED = "exited"
-"""The condition of a container that an operator may have stopped; for one that may have been paused see `PAUSED`."""
+ENDED = ("exited", "oom")
+"""Conditions of a container that an operator may have stopped; for one that may have been paused see `PAUSED`."""
 NOT_STARTED = "not_started"
 """The condition of a container that was created and waits for its first start (`phm_checks.container`)."""
 NOT_STARTED_S = 60.0
@@ -285,7 +285,7 @@ class TargetWorker:
     def _decide(self, fault: Fault, *, approved: bool, given_up: bool = False) -> Decision:
         now, rules = self._clock.stamp(), self._rules
         condition = fault.result.condition
-        status = rules.hold_status(self._name, now.mono, ended=condition == ENDED, paused=condition == PAUSED)
+        status = rules.hold_status(self._name, now.mono, ended=condition in ENDED, paused=condition == PAUSED)
         return decide(
             fault,
             self._history,
@@ -309,6 +309,9 @@ class TargetWorker:
         """Why the action must wait until the vehicle is disarmed; empty: it need not."""
         guard = self._rules.guard
         return guard.forbids(self._name, self._catalog.impact(action)) if guard is not None else ""
+
+    def _forbidden_now(self, action: str) -> bool:
+        return action not in self._catalog.unrestricted and bool(self._forbids(action))
 
     def _on_hold(self) -> bool:
         status = self._rules.hold_status(self._name, self._clock.mono())
@@ -342,7 +345,8 @@ class TargetWorker:
             self._reporter.report_once(case, act.action, Phase.FAILED, what)
             case.refused = True
             return 0
-        last = self._catalog.is_last(self._target, fault, act.action)
+        # In flight the next step may be forbidden: it does not follow, and this one, done again, would change nothing.
+        last = all(self._forbidden_now(step) for step in self._catalog.following(self._target, fault, act.action))
         approved_at = case.approval.situation.armed if case.approval is not None else None
         attempt = self._new_attempt(self._target, fault, action, last=last, approved_at=approved_at, alone=act.alone)
         away = self._engine_away()
@@ -369,8 +373,7 @@ class TargetWorker:
             return RETRY_S
         case.approval, case.interrupted = None, False
         self._under_way = UnfinishedAction(fault.id, record)
-        self._carry_out(case, act, attempt, record)
-        return 0
+        return self._carry_out(case, act, attempt, record)
 
     def _engine_away(self) -> str:
         """Why no action on the container can succeed now, as a sentence; empty: the Docker Engine answers. An attempt would only fail.
@@ -402,7 +405,8 @@ class TargetWorker:
             return ""
         return f"it was created, and it is not known whether it has been started: {own.summary}"
 
-    def _carry_out(self, case: FaultCase, act: Act, attempt: Attempt, record: AttemptRecord) -> None:
+    def _carry_out(self, case: FaultCase, act: Act, attempt: Attempt, record: AttemptRecord) -> float:
+        """Seconds to wait before deciding again."""
         worked, before = False, self._generations.current(self._name)
         publish = partial(self._reporter.report, case.fault, act.action, attempt=act.attempt)
 
@@ -414,7 +418,7 @@ class TargetWorker:
         try:
             outcome = attempt.run(report, lambda: self._stopping, lambda: self._another_calls(case))
             if self._stopping and not outcome.worked:
-                return  # interrupted by the end of PHM: the state file still says that it is under way
+                return 0  # interrupted by the end of PHM: the state file still says that it is under way
             worked = outcome.worked or outcome.undecided
             case.refused = outcome.refused
             self._changes.attempted(self._current(), case, before, superseded=outcome.superseded)
@@ -424,6 +428,7 @@ class TargetWorker:
             )
             self._end(None if outcome.postponed else done)
             report(outcome.phase, outcome.detail)
+            return MISSING_S if outcome.postponed else 0
         finally:
             if self._under_way is not None and not self._stopping:
                 self._end(record)

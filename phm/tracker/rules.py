@@ -27,6 +27,8 @@ ENGINE, CONTAINER = "engine", "container/"
 DETACHED, RECONNECTS = "disconnected", "reconnect"
 """The condition of a container that is not on its network, known from the Docker Engine if the evidence is conclusive,
 and the action that takes a container off its networks for a moment."""
+FROM_OUTSIDE = frozenset({"network_missing", "device_missing"})
+"""Conditions that come from outside of every container: no action on one causes them."""
 LEAVE_RUNNING = frozenset({RECONNECTS, "join_network"})
 """Actions that end no process of the target, unless `reconnect` restarts it afterwards: then its stop is reported first."""
 GRACE_ENDS_AFTER_OK_S = 2.5
@@ -94,16 +96,20 @@ def action_in_progress(context: RuleContext) -> Decision | None:
 
     The unit is STALE `blocked_by` the fault being recovered; a unit with an open fault stays unchanged. Except that the Docker
     Engine no longer lists the running container on its network: of the actions only RECONNECTS does that. And except what was certain
-    before one of LEAVE_RUNNING began.
+    before one of LEAVE_RUNNING began, and what comes FROM_OUTSIDE. An action without a fault was requested: its unit is STALE.
     """
-    action = context.view.actions.get(context.record.target)
+    record, action = context.record, context.view.actions.get(context.record.target)
     if action is None or not context.result.level.bad:
         return None
     if _detached(context) and action.action != RECONNECTS:
         return None
-    if context.record.fault is None and context.record.id != action.owner:
-        return None if certain_before(context.record, action) else _blocked(context, action.owner)
-    return NO_CHANGE
+    if record.fault is not None or (record.id == action.owner and record.escalated):
+        return NO_CHANGE
+    if record.id == action.owner:
+        summary = f"{record.target} is being restarted on request: {context.result.summary}"
+        return Decision(replace(context.result, level=Level.STALE, summary=summary, brief="", condition=""))
+    separate = context.result.condition in FROM_OUTSIDE or certain_before(record, action)
+    return None if separate else _blocked(context, action.owner)
 
 
 def on_hold(context: RuleContext) -> Decision | None:
@@ -304,7 +310,8 @@ def _known(record: UnitRecord) -> bool:
 
 
 def _cause(context: RuleContext, *, by_starvation: bool = False) -> str:
-    """The first dependency that is failing (by starvation alone or not) or whose OK is held back.
+    """The first dependency that is failing (by starvation alone or not) or whose OK is held back. That a running container is not on its
+    network, and what comes FROM_OUTSIDE, does not follow from a container whose OK is only held back.
 
     If recovery works on that one, the unit whose fault is being recovered.
     """
@@ -316,8 +323,11 @@ def _cause(context: RuleContext, *, by_starvation: bool = False) -> str:
 
 
 def _dependency(context: RuleContext, *, by_starvation: bool = False) -> UnitRecord | None:
+    held_back = not _detached(context) and context.result.condition not in FROM_OUTSIDE
     for other in _possible_causes(context):
-        if (other.failing or _unverified(other, context)) and _merely_starved(other, context) is by_starvation:
+        if (other.failing or (held_back and _unverified(other, context))) and _merely_starved(
+            other, context
+        ) is by_starvation:
             return other
     return None
 

@@ -87,18 +87,20 @@ class Tracker:
         return any(self._units[name].failing and self._units[name].started >= mono for name in self._below(record))
 
     def _below(self, record: UnitRecord) -> list[str]:
-        """Dependents of the same target without a separate fault. Not its pressure unit: a recovery cannot end that."""
+        """Dependents of the same target without a separate fault, and that need none of those that have one. Not its pressure unit:
+        a recovery cannot end that."""
+        below = [other for other in self._view.downstream(record.id) if other.target == record.target]
+        apart = {other.id for other in below if other.fault is not None or other.published_given_up}
         return [
             other.id
-            for other in self._view.downstream(record.id)
-            if other.target == record.target and other.fault is None and not other.published_given_up
-            if not other.id.startswith(PRESSURE)
+            for other in below
+            if apart.isdisjoint((other.id, *self.graph.upstream(other.id))) and not other.id.startswith(PRESSURE)
         ]
 
     def failing_dependents(self, unit: str, mono: float) -> tuple[str, ...]:
         """Dependents of `unit` in the same target that no run since `mono` has found free of ERROR.
 
-        Those with a separate fault are not counted: they do not wait for this recovery.
+        Those with a separate fault, and what needs them, are not counted: they do not wait for this recovery.
         """
         below = (self._units[name] for name in self._below(self._units[unit]))
         return tuple(record.id for record in below if record.failing or record.started < mono)
@@ -116,6 +118,12 @@ class Tracker:
             for record in below
             if record.started >= mono and record.unknown and record.ok_since_start_s(mono) > 0
         )
+
+    def dependencies(self, unit: str) -> tuple[str, ...]:
+        """Dependencies of `unit` in the same target, causes first, without those that are published as a separate fault."""
+        record = self._units[unit]
+        above = (other for other in self._view.upstream(unit) if record.target and other.target == record.target)
+        return tuple(other.id for other in above if other.fault is None and not other.published_given_up)
 
     def starved_by(self, unit: str, now: Stamp) -> str:
         """The pressure unit that explains this unit's problem, now or until a moment ago; empty: none.

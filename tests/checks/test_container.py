@@ -160,6 +160,14 @@ def test_an_oom_kill_has_its_own_condition() -> None:
     assert (result.condition, result.brief) == ("oom", "ros_app out of memory")
 
 
+@pytest.mark.parametrize("code", [0, 143])
+def test_an_earlier_oom_kill_inside_is_not_why_a_container_ended(code: int) -> None:
+    """The engine keeps its flag when the kernel has killed another process than the first: `docker stop` ends the container later."""
+    result = evaluate(status="exited", exit_code=code, oom_killed=True)
+    assert (result.condition, result.brief) == ("exited", f"ros_app exited {code}")
+    assert "killed a process in it for lack of memory" in result.summary
+
+
 @pytest.mark.parametrize(
     ("code", "words"),
     [

@@ -41,7 +41,8 @@ def test_a_container_that_was_started_by_a_failed_call_gets_its_grace(recreated:
         agent.pipeline.container_started(key)
         agent.observe = lambda: (agent.clock.mono() - up_at >= BOOT_S and agent.bad.clear(), observe())[1]  # type: ignore[method-assign]
         agent.pause(lambda: agent.clock.mono() - begun[-1] > CALL_S)
-        raise EngineMissing("HTTP 404") if recreated else EngineTimeout("no answer within 20 s")
+        agent.engine.fails = EngineMissing("HTTP 404") if recreated else EngineTimeout("no answer within 20 s")
+        context.engine.restart(key)
 
     observe = agent.observe
     agent.behave = behave

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from phm.api import Result, error
+from phm.api import Result, error, stale
 from phm.core.model import Evidence
 from phm.recovery.actions.join_network import JoinNetwork
 from phm.recovery.actions.reconnect import Reconnect
@@ -28,6 +28,9 @@ class Silent:
         return ()
 
     def unknown_dependents(self, unit: str, mono: float) -> tuple[str, ...]:
+        return ()
+
+    def dependencies(self, unit: str) -> tuple[str, ...]:
         return ()
 
     def newest(self, unit: str, mono: float) -> Result | None:
@@ -231,3 +234,33 @@ def test_a_failure_that_starvation_does_not_explain_is_counted() -> None:
     ends = GRACE_S + 4.0
     assert starved.say(verification, ends) is None
     assert starved.say(verification, ends + 0.1) == VerificationResult(missing="nodes/one", partly=True)
+
+
+@pytest.mark.parametrize("until", [1.0, 100.0])
+def test_a_unit_that_is_bad_for_another_reason_than_starvation_is_counted(until: float) -> None:
+    """In an overload, a container that exits right after its start would be started again every 32 s, for good."""
+    starved = Starved(4.9, unit_ok=False, until=until, condition="exited")
+    verification = Verification("container/app", 0.0, 2.0, 30.0, lambda unit: GRACE_S)
+    assert starved.say(verification, 0.5) is None
+    assert starved.say(verification, 5.0) is None
+    starved.started = GRACE_S + STILL_BAD_S
+    assert starved.say(verification, 5.1) == VerificationResult(missing="container/app")
+
+
+class Exited(Silent):
+    """The unit is unknown; the container that it needs has exited, by a run that began at `started`."""
+
+    def dependencies(self, unit: str) -> tuple[str, ...]:
+        return ("container/app",) if unit == "health/app" else ()
+
+    def newest(self, unit: str, mono: float) -> Result | None:
+        found = error("exited", brief="exited", condition="exited") if unit == "container/app" else stale("not running")
+        return found if self.started >= mono else None
+
+
+def test_a_dependency_that_fails_after_the_action_ends_the_wait() -> None:
+    """Until then no one reports or recovers it; its check runs again meanwhile, for a run that began late enough."""
+    verification = Verification("health/app", 0.0, 2.0, 30.0, lambda unit: 20.0 if unit == "health/app" else 0.0)
+    assert verification.result(Exited(STILL_BAD_S - 0.1), 2.0) is None
+    assert verification.waiting == ("container/app", "health/app")
+    assert verification.result(Exited(STILL_BAD_S), 2.1) == VerificationResult(missing="container/app")

@@ -437,3 +437,29 @@ def test_a_detached_network_is_reported_while_its_container_is_restarted(action:
     for name, result in (("network/app", detached), ("container/app", OK), ("nodes/n", BAD), ("network/app", detached)):
         bench.see(name, result)
     assert bench.opened == opened
+
+
+def test_a_network_is_detached_although_the_start_of_its_container_is_not_verified_yet() -> None:
+    """The container runs, so it explains nothing; and its start does not wait for the network, nor for what needs that."""
+    detached = error("not on net", brief="not on net", condition="disconnected").with_evidence(
+        Evidence(conclusive=True)
+    )
+    bench = Bench(
+        [
+            unit("container/app", target="app"),
+            unit("network/app", "container/app", target="app", grace_s=3.0),
+            unit("nodes/n", "container/app", "network/app", target="app", grace_s=8.0),
+            unit("health/app", "container/app", target="app"),
+        ]
+    )
+    bench.later(10)
+    bench.all_healthy()
+    bench.see("container/app", BAD)
+    bench.take(bench.tracker.begin_action("app", "container/app", "start", bench.stamp(), 60.0, proving=True))
+    bench.take(bench.tracker.container_started("app", bench.stamp()))
+    bench.later(3.1)
+    results = {"container/app": OK, "network/app": detached, "nodes/n": BAD, "health/app": BAD}
+    for name in (*results, "network/app"):
+        bench.see(name, results[name])
+    assert bench.opened == ["container/app", "network/app"]
+    assert bench.tracker.failing_dependents("container/app", bench.now) == ("health/app",)

@@ -6,10 +6,11 @@ container that was on the old one cannot even be started.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable
 
 from phm.core.settings import ContainerSettings
-from phm.facts import Attachment, ContainerFact, NotPermitted
+from phm.facts import Attachment, CannotTell, ContainerFact, NotPermitted
 from phm.recovery.base import ActionContext
 from phm.transport.docker import EngineMissing
 
@@ -57,9 +58,22 @@ def connect(container: ContainerSettings, fact: ContainerFact, name: str, networ
 
 
 def reconnect_stopped(container: ContainerSettings, fact: ContainerFact, context: ActionContext) -> None:
-    """Connect a stopped container to networks that were recreated since it stopped: otherwise the engine refuses to start it."""
+    """Connect a stopped container to networks that were recreated since it stopped: otherwise the engine refuses to start it. And to
+    those from which it was disconnected: there it has no address and no nodes until it is connected again."""
     for name in stale(container, fact, context):
         connect(container, fact, name, network_id(name, context), context)
+    for name in _disconnected(container, fact, context):
+        with contextlib.suppress(CannotTell):  # it starts without, and what the network lacks is another fault
+            if network := network_id(name, context):
+                connect(container, fact, name, network, context)
+
+
+def _disconnected(container: ContainerSettings, fact: ContainerFact, context: ActionContext) -> list[str]:
+    """Configured networks that a container is not on, and on which PHM has seen it: only then it gets its aliases and addresses
+    again."""
+    on = {one.name for one in fact.networks}
+    names = [name for name in container.networks if name not in on] if has_its_own(fact) else []
+    return [name for name in names if context.last_attachment(container.key, name) is not None]
 
 
 def stale(container: ContainerSettings, fact: ContainerFact, context: ActionContext) -> list[str]:

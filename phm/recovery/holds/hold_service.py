@@ -28,7 +28,7 @@ from phm.wire.text import one_line
 
 logger = logging.getLogger(__name__)
 
-ENDINGS = frozenset({"exited", "ended", "missing", "not_started", "created"})
+ENDINGS = frozenset({"exited", "oom", "ended", "missing", "not_started", "created"})
 """Conditions of a container that may be part of a restart or a recreation."""
 WAITING = "being stopped by an operator; PHM waits to see whether it is started again or recreated"
 ARMED_S = 1.0

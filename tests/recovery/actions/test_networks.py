@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from phm import testing
-from phm.facts import ContainerFact
+from phm.facts import Attachment, ContainerFact
 from phm.probes.docker_facts import container_fact
 from phm.recovery.actions.join_network import JoinNetwork
 from phm.recovery.actions.reconnect import Reconnect
@@ -129,6 +129,52 @@ def test_a_stopped_container_is_started_on_the_recreated_network(fake: FakeEngin
     fact = made.fact("app")
     assert fact is not None and fact.running
     assert [attached.network_id for attached in fact.networks] == ["new"]
+
+
+class Remembered(Bench):
+    """PHM has seen how `app` was attached to `swarm`."""
+
+    seen = Attachment("swarm", "new", "10.9.0.7", aliases=("camera",), fixed_addresses=("10.9.0.7",))
+
+    def context(self) -> ActionContext:
+        known = {("app", "swarm"): self.seen}
+        return replace(super().context(), last_attachment=lambda key, network: known.get((key, network)))
+
+
+def killed_off_its_network(fake: FakeEngine, ask: DockerEngine, **more: Any) -> Remembered:
+    """`app`, which was killed and disconnected from `swarm`."""
+    fake.containers["app"] = container("app", networks={}, status="exited")
+    fake.networks["swarm"] = {"Id": "new"}
+    return Remembered(ask, testing.settings(containers=[{**APP, **more}]))
+
+
+@pytest.mark.parametrize("action", [Start, Restart])
+def test_a_stopped_container_is_started_on_the_network_that_it_was_disconnected_from(
+    fake: FakeEngine, ask: DockerEngine, action: type[Action]
+) -> None:
+    """Else it runs, its nodes are lost, and the next step would be a useless restart."""
+    made = killed_off_its_network(fake, ask)
+    made.run(action, "app", fault("container/app", "exited"))
+    fact = made.fact("app")
+    assert fact is not None and fact.running
+    assert [(on.network_id, on.fixed_addresses) for on in fact.networks] == [("new", ("10.9.0.7",))]
+    assert "camera" in fact.networks[0].aliases
+
+
+def test_a_stopped_container_of_unknown_attachments_is_only_started(fake: FakeEngine, ask: DockerEngine) -> None:
+    """Without its aliases and addresses, the connection would differ from what the user configured."""
+    made = agent(fake, ask, exists=True, status="exited")
+    made.run(Start, "app", fault("container/app", "exited"))
+    assert changes(fake) == ["start"]
+
+
+def test_a_connection_that_fails_does_not_prevent_the_start(fake: FakeEngine, ask: DockerEngine) -> None:
+    """Neither does one that is refused in flight: the container starts, and its network is reported."""
+    made = killed_off_its_network(fake, ask)
+    fake.fault = Status(500, "no", route="/connect")
+    made.run(Start, "app", fault("container/app", "exited"))
+    fact = made.fact("app")
+    assert fact is not None and fact.running and not fact.networks
 
 
 def test_a_connection_without_an_address_is_made_again(fake: FakeEngine, ask: DockerEngine) -> None:

@@ -14,7 +14,7 @@ from phm.testing import FakeClock
 from tests.recovery.simulated_agent import Agent, Containers, Of
 
 UNITS = {"container/app": Of("app"), "nodes/app": Of("app", ("container/app",)), "container/cam": Of("cam")}
-LADDERS = {"broken": ["restart"], "exited": ["restart"]}
+LADDERS = {"broken": ["restart"], "exited": ["restart"], "oom": ["restart"]}
 LONG_BACKOFF = {"backoff": 50.0, "backoff_max": 60.0}
 BY = "operator (uid 0)"
 STOP = (("kill", "signal 15"), ("die", "exit code 0"), ("stop", ""))

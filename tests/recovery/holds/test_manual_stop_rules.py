@@ -169,7 +169,7 @@ def test_a_stop_with_a_missed_signal_is_not_undone(scenes: Any, monkeypatch: pyt
     assert scene.changes() == [("app", True)] and scene.agent.runs == []
 
 
-@pytest.mark.parametrize("condition", ["exited", "ended"])
+@pytest.mark.parametrize("condition", ["exited", "ended", "oom"])
 def test_an_end_that_may_be_part_of_a_recreation_is_not_reported(scenes: Any, condition: str) -> None:
     """Also if only its cgroup shows it, because the engine is too busy with the recreation to answer PHM."""
     scene = scenes()
@@ -250,7 +250,7 @@ def test_an_end_during_a_stream_outage_is_not_acted_on_before_its_events_arrive(
     assert scene.changes() == [("app", True)] and scene.agent.runs == []
 
 
-@pytest.mark.parametrize(("condition", "waits"), [("exited", True), ("broken", False)])
+@pytest.mark.parametrize(("condition", "waits"), [("exited", True), ("oom", True), ("broken", False)])
 def test_a_lasting_stream_outage_does_not_prevent_recovery(scenes: Any, condition: str, waits: bool) -> None:
     """A container that has ended is acted on CLOSED_S after the stream broke; other faults are acted on immediately."""
     scene = scenes(on_manual_stop="respect")
