@@ -26,7 +26,7 @@ from phm.probes.inotify import FileWatcher
 INSPECT_S = 1.5
 """Deadline of looking at a device, and of opening it; opening one with a stuck driver can hang."""
 MOST_OPENED = 64
-"""So many devices are each opened in a thread of their own; further ones in the thread that looks at all."""
+"""So many devices are each opened in their own thread; further ones in the thread that looks at all."""
 DESCRIPTION_S = 10.0
 """How long the description of a port is cached."""
 _MOST_DESCRIPTIONS = 64

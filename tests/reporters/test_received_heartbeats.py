@@ -80,12 +80,12 @@ def test_forged_senders_fill_neither_memory_nor_the_log() -> None:
 
 
 def test_a_new_sender_takes_the_place_of_the_one_that_was_silent_longest() -> None:
-    """Also long after senders that were heard only once."""
+    """Also long after senders that were received only once."""
     bench = Bench()
     for system in range(MOST_SENDERS):
         bench.receive(0, system)
         bench.clock.advance(0.01)
-    bench.receive(EACH, 0)  # the first of them is heard again
+    bench.receive(EACH, 0)  # the first of them is received again
     bench.take()
     bench.receive(0, 7, 193)
     assert [frame[:3] for frame in bench.take()] == [(7, 193, 0)]
