@@ -38,6 +38,9 @@ def row(
     down, ran_s = _down(agent, begin, end)
     armed = clipped(agent.armed, begin, end)
     lost, missing = _lost(agent)
+    failing = _failing(agent, begin, end)
+    if not agent.runs and segments and segments[-1][2] == "ERROR":
+        failing = [{"unit": "", "summary": "", "brief": ""}]
     runs = [
         {
             "boot_id": run.boot_id,
@@ -65,12 +68,32 @@ def row(
         "levels": _rounded(segments),
         "joined_s": round(joined_s, 2),
         "units": shown,
+        "failing": failing,
         "units_joined_s": round(units_joined_s, 2),
         "actions": omitted.keep(agent.name, "actions in the timeline", _actions(agent, begin, end), MOST_ACTIONS),
         "lost_lines": lost,
         "missing_lines": missing,
         "left_out": sum(run.left_out for run, _ in agent.runs),
     }
+
+
+def _failing(agent: AgentRecord, begin: float, end: float) -> list[Json]:
+    """Units in ERROR at the end of the window, or where the log of the agent ends in it, with their last line about it."""
+    said: dict[str, tuple[str, str, str]] = {}
+    for run, clock in agent.runs:
+        if not run.cover.spans or clock.t(run.cover.spans[-1][1]) < begin:
+            continue
+        known = {
+            unit: (body["level"], body["summary"], "") for unit, body in run.units.items() if clock.t(body["at"]) <= end
+        }
+        changes = (change for change in run.levels() if clock.t(change.mono) <= end)
+        known.update({change.unit: (change.level, change.summary, change.brief) for change in changes})
+        said = known or said
+    return [
+        {"unit": unit, "summary": summary, "brief": brief}
+        for unit, (level, summary, brief) in said.items()
+        if level == "ERROR"
+    ]
 
 
 def _down(agent: AgentRecord, begin: float, end: float) -> tuple[list[Span], float]:

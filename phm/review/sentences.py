@@ -59,7 +59,7 @@ def _what(document: Json) -> str:
 def _faults(document: Json) -> str:
     faults = opened(document["faults"], document["window"]["begin"])
     if not faults:
-        return "There was no fault."
+        return "No fault opened." if counted(document["faults"]) else "There was no fault."
     actions = sum(by_action(fault) for fault in faults)
     resolved = sum(fault["outcome"] == "resolved" for fault in faults)
     times = repair_times(faults)
@@ -72,14 +72,17 @@ def _open(document: Json) -> str:
     faults = counted(document["faults"])
     left = [fault for fault in faults if fault["outcome"] == "open"]
     given_up = sum(fault["outcome"] == "escalated" for fault in faults)
+    named = {(fault["agent"], fault["unit"]) for fault in faults if fault["outcome"] in ("open", "escalated")}
+    others = sum(bool(row["unit"]) and (row["agent"], row["unit"]) not in named for row in _failing(document))
+    also = f"; {_count(others, 'unit')} without one {'was' if others == 1 else 'were'} in ERROR" if others else ""
     if not left and not given_up:
-        return "No fault was open at the end, and PHM gave up on none."
+        return f"No fault was open at the end, and PHM gave up on none{also}."
     names = ", ".join(f"{fault['agent']} {fault['brief'] or fault['unit']}" for fault in left[:3])
     more = f" and {len(left) - 3} more" if len(left) > 3 else ""
     opened = f"{_count(len(left), 'fault')} {'was' if len(left) == 1 else 'were'} open at the end" + (
         f" ({names}{more})" if left else ""
     )
-    return f"{opened}, and PHM gave up on {given_up}."
+    return f"{opened}, and PHM gave up on {given_up}{also}."
 
 
 def _worst(document: Json) -> str:
@@ -94,9 +97,16 @@ def _worst(document: Json) -> str:
 
 def _next(document: Json) -> str:
     faults = counted(document["faults"])
-    left = [fault for fault in faults if fault["outcome"] in ("open", "escalated")]
+    left = [
+        fault
+        for fault in faults
+        if fault["outcome"] == "open" or (fault["outcome"] == "escalated" and fault["ok_again"] is None)
+    ]
+    left = left or _failing(document)[:1]
     if left:
         first = left[-1]
+        if not first["unit"]:
+            return f"Before the next flight, look at {first['agent']}: it was in ERROR when it was last received."
         advice = ADVICE.search(first["summary"])
         look = ": ".join(filter(None, (f"look at {first['unit']}", first["brief"])))
         what = advice.group(1).rstrip(".") if advice else look
@@ -109,6 +119,11 @@ def _next(document: Json) -> str:
     if lost:
         return f"Before the next flight, check the disks: {lost} lines of the logs are missing."
     return "Nothing in the record has to be done before the next flight."
+
+
+def _failing(document: Json) -> list[Json]:
+    """The units that were in ERROR at the end, with or without a fault; one without a name: of an agent without a log."""
+    return [{"agent": agent["agent"], **row} for agent in document["agents"] for row in agent["failing"]]
 
 
 def _count(number: int, word: str) -> str:
