@@ -38,6 +38,8 @@ class GroundRun:
     texts: list[tuple[float, int, int, str, str]] = field(default_factory=list)
     """(mono, agent, slot, word, brief) of PHM's lines about changes."""
     armed: list[tuple[float, int, bool]] = field(default_factory=list)
+    silent: list[tuple[float, int, float]] = field(default_factory=list)
+    """Entries (mono, system, age_s) of autopilots that were lost: their last heartbeat was so long before."""
     bytes_of: dict[int, int] = field(default_factory=dict)
     """Bytes of the lines of text received from each agent."""
     text_bytes: list[tuple[float, int, int]] = field(default_factory=list)
@@ -59,10 +61,12 @@ class GroundRun:
             self.clock.append((event.mono, difference))
         if event.event == "received":
             self._received(event)
-        elif len(self.texts) + len(self.levels) + len(self.presence) + len(self.armed) > MOST_EVENTS:
+        elif sum(map(len, (self.texts, self.levels, self.presence, self.armed, self.silent))) > MOST_EVENTS:
             self.left_out += 1
         elif event.event == "autopilot":
-            if event.armed is not None and event.system is not None:
+            if event.presence == "lost" and event.system is not None:
+                self.silent.append((event.mono, event.system, max(0.0, event.age_s or 0.0)))
+            elif event.armed is not None and event.system is not None:
                 self.armed.append((event.mono, event.system, event.armed))
         elif event.event == "snapshot":
             self._radios(event)
@@ -81,6 +85,7 @@ class GroundRun:
         self.levels = sorted({*self.levels, *other.levels})
         self.texts = sorted({*self.texts, *other.texts})
         self.armed = sorted({*self.armed, *other.armed})
+        self.silent = sorted({*self.silent, *other.silent})
         room = max(0, MOST_EVENTS - len(self.text_bytes))
         self.untimed += other.untimed + len(other.text_bytes[room:])
         self.text_bytes += other.text_bytes[:room]
