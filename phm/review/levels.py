@@ -36,8 +36,8 @@ def of_units(agent: AgentRecord) -> dict[str, list[Segment]]:
     return {unit: _cut(segments, agent.cover) for unit, segments in found.items()}
 
 
-def of_agent(units: Iterable[Sequence[Segment]], cover: Sequence[Span]) -> list[Segment]:
-    """The worst level of all units at each moment."""
+def of_agent(units: Iterable[Sequence[Segment]], cover: Sequence[Span], rank: Sequence[str] = RANK) -> list[Segment]:
+    """The worst level of all units at each moment: the first one in `rank`."""
     edges: list[tuple[float, int, str]] = []
     for segments in units:
         for begin, end, level in segments:
@@ -49,7 +49,7 @@ def of_agent(units: Iterable[Sequence[Segment]], cover: Sequence[Span]) -> list[
     since, level = 0.0, ""
     for t, step, name in edges:
         counts[name] += step
-        worst = next((each for each in RANK if counts[each] > 0), "")
+        worst = next((each for each in rank if counts[each] > 0), "")
         if worst == level:
             continue
         if level and t > since:
