@@ -30,6 +30,8 @@ class GroundRun:
     left_out: int = 0
     cover: Cover = field(default_factory=lambda: Cover(COVER_S))
     numbers: Cover = field(default_factory=lambda: Cover(1.0))
+    lost: dict[int, int] = field(default_factory=dict)
+    """Lines that could not be written, by the number of the event `lost` that counts them."""
     clock: list[tuple[float, float]] = field(default_factory=list)
     presence: list[tuple[float, int, str, float]] = field(default_factory=list)
     """Entries (mono, agent, presence, silent_s)."""
@@ -70,6 +72,8 @@ class GroundRun:
                 self.armed.append((event.mono, event.system, event.armed))
         elif event.event == "snapshot":
             self._radios(event)
+        elif event.event == "lost":
+            self.lost[event.seq] = max(0, event.lines)
         elif event.event == "start":
             self.version = event.version[:40]
         elif isinstance(event.agent, int):
@@ -80,6 +84,7 @@ class GroundRun:
         self.lines, self.left_out = self.lines + other.lines, self.left_out + other.left_out
         self.cover.merge(other.cover)
         self.numbers.merge(other.numbers)
+        self.lost.update(other.lost)
         self.clock = sorted({*self.clock, *other.clock})
         self.presence = sorted({*self.presence, *other.presence})
         self.levels = sorted({*self.levels, *other.levels})
@@ -99,6 +104,12 @@ class GroundRun:
                 self.series[name].merge(series)
             elif len(self.series) < MOST_SERIES:
                 self.series[name] = series
+
+    @property
+    def missing_lines(self) -> int:
+        """Without those that an event `lost` counts: it has the number of the last of them."""
+        gaps = sum(int(after - before) - 1 for before, after in self.numbers.gaps())
+        return max(0, gaps - sum(max(0, lines - 1) for lines in self.lost.values()))
 
     def _agent(self, event: Event, agent: int) -> None:
         if event.name and len(self.names) < 300:

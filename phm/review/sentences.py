@@ -115,7 +115,7 @@ def _next(document: Json) -> str:
     if repeated and repeated[0][1] > 1:
         (agent, unit), count = repeated[0]
         return f"Before the next flight, find out why {unit} of {agent} failed {count} times; each time it recovered."
-    lost = sum(agent["lost_lines"] + agent["missing_lines"] for agent in document["agents"])
+    lost = sum(row["lost_lines"] + row["missing_lines"] for row in [*document["agents"], *document["files"]["grounds"]])
     if lost:
         return f"Before the next flight, check the disks: {lost} lines of the logs are missing."
     return "Nothing in the record has to be done before the next flight."
