@@ -47,13 +47,19 @@ def length(seconds: float | None) -> str:
     return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
 
 
+def times(document: Json) -> Json:
+    """`begin`, `end` and `duration_s` of the flight, without the margin of its window; of the window if it is not a flight."""
+    window: Json = document["window"]
+    return next((flight for flight in document["flights"] if flight["number"] == window["flight"]), window)
+
+
 def _what(document: Json) -> str:
-    window, agents = document["window"], vehicles(document)
+    window, agents, lasted = document["window"], vehicles(document), times(document)
     which = f"Flight {window['flight']}" if window["flight"] else "The record"
     flown = "" if window["flight"] else f" and {_count(len(document['flights']), 'flight')}"
-    begin, end = clock_text(window["begin"])[:19], clock_text(window["end"])[:19]
+    begin, end = clock_text(lasted["begin"])[:19], clock_text(lasted["end"])[:19]
     when = f"from {begin} to {end[11:] if end[:10] == begin[:10] else end} UTC"
-    return f"{which} lasted {length(window['duration_s'])}, {when}, with {_count(len(agents), 'agent')}{flown}."
+    return f"{which} lasted {length(lasted['duration_s'])}, {when}, with {_count(len(agents), 'agent')}{flown}."
 
 
 def _faults(document: Json) -> str:
