@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from phm.review import check_rates, levels
+from phm.review import check_rates, levels, own_figures
 from phm.review.omitted import OmittedCounts
 from phm.review.record import AgentRecord, Record
 from phm.review.spans import Span, clipped, total, without
@@ -41,20 +41,20 @@ def row(
     failing = _failing(agent, begin, end)
     if not agent.runs and segments and segments[-1][2] == "ERROR":
         failing = [{"unit": "", "summary": "", "brief": ""}]
+    inside = [(run, clock) for run, clock in agent.runs if own_figures.overlaps(run, clock, begin, end)]
     runs = [
         {
             "boot_id": run.boot_id,
             "begin": round(clock.t(run.cover.spans[0][0]), 3),
             "end": round(clock.t(run.cover.spans[-1][1]), 3),
         }
-        for run, clock in agent.runs
-        if run.cover.spans
+        for run, clock in inside
     ]
     return {
         "agent": agent.name,
         "agent_id": agent.id,
         "logged": bool(agent.runs),
-        "versions": sorted({run.version for run, _ in agent.runs if run.version}),
+        "versions": sorted({run.version for run, _ in inside if run.version}),
         "runs": omitted.keep(agent.name, "runs of PHM", runs, MOST_RUNS),
         "faults": len(check_rates.opened(faults, round(begin, 3))),
         "error_s": round(spent.get("ERROR", 0.0), 3),

@@ -123,3 +123,22 @@ def test_the_most_memory_is_kept_whichever_sample_has_it() -> None:
         for number in range(MOST + 1):
             cost.add(number * 20.0, number * 1.0, number * 100, 999 if number == peak else 5)
         assert len(cost.samples) <= MOST and cost.memory(0.0, 1e9) == 999, peak
+
+
+def test_a_flight_has_the_versions_and_runs_that_were_in_it(tmp_path: Path) -> None:
+    """PHM was updated between two flights."""
+    for number in range(2):
+        with flown(tmp_path, boot=f"boot000{number}", start=1000.0 * number) as made:
+            made.arm(True)
+            made.until(1000.0 * number + 100)
+            made.arm(False)
+            made.until(1000.0 * number + 200)
+    log = tmp_path / "phm.jsonl"
+    lines = log.read_text().splitlines(keepends=True)
+    starts = [place for place, line in enumerate(lines) if '"event":"start"' in line]
+    lines[starts[0]] = json.dumps({**json.loads(lines[starts[0]]), "version": "0.0.1"}) + "\n"
+    log.write_text("".join(lines))
+    new = json.loads(lines[starts[1]])["version"]
+    found = [report(tmp_path, flight=flight)["agents"][0] for flight in (1, 2, None)]
+    assert [row["versions"] for row in found] == [["0.0.1"], [new], ["0.0.1", new]]
+    assert [[run["boot_id"][-1] for run in row["runs"]] for row in found] == [["0"], ["1"], ["0", "1"]]
