@@ -297,6 +297,12 @@ def _logged(agent: AgentRecord, say: Callable[[Run], list[_Said]]) -> list[tuple
     return edges
 
 
+def ended_armed(run: Run) -> bool:
+    """Whether the autopilot was armed at the end of the run, as far as its log says."""
+    said = _by_flights(run) or _by_autopilot(run)
+    return bool(said) and said[-1].armed
+
+
 def _by_flights(run: Run) -> list[_Said]:
     marks = [(mark.mono, mark.body) for mark in run.marks if mark.what == "flight"]
     return [
