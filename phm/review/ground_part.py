@@ -63,7 +63,7 @@ class GroundRun:
             self.clock.append((event.mono, difference))
         if event.event == "received":
             self._received(event)
-        elif sum(map(len, (self.texts, self.levels, self.presence, self.armed, self.silent))) > MOST_EVENTS:
+        elif len(self.texts) + len(self.levels) + len(self.presence) + len(self.armed) + len(self.silent) > MOST_EVENTS:
             self.left_out += 1
         elif event.event == "autopilot":
             if event.presence == "lost" and event.system is not None:
