@@ -146,7 +146,7 @@ def command(
     except log_paths.NoLog as error:
         raise click.ClickException(str(error)) from None
     elsewhere = bool(paths) or from_command_line("config")
-    show = _show_json if as_json else _Printer(brief, several=len(logs) > 1, elsewhere=elsewhere).show
+    show = _show_json if as_json else _Printer(brief, criteria, several=len(logs) > 1, elsewhere=elsewhere).show
     try:
         count = _print(logs, gates, criteria, show, follow=follow)
         while follow:
@@ -215,11 +215,11 @@ class _Printer:
     elsewhere: `phm faults` does not find the logs by itself, so the hints say where they are.
     """
 
-    def __init__(self, brief: bool, several: bool, elsewhere: bool) -> None:
+    def __init__(self, brief: bool, criteria: LineFilter, several: bool, elsewhere: bool) -> None:
         from phm.cli import terminal
         from phm.logs.line_explainer import Explainer
 
-        self._brief, self._several, self._elsewhere = brief, several, elsewhere
+        self._brief, self._criteria, self._several, self._elsewhere = brief, criteria, several, elsewhere
         self._explainer, self._console = Explainer(), terminal.console()
 
     def show(self, event: Json, wanted: bool, path: Path) -> None:
@@ -228,7 +228,7 @@ class _Printer:
         from phm.wire.text import one_line
 
         missing = self._explainer.gap(event)
-        if missing:
+        if missing and self._criteria.covers(event):
             lines = "1 line is" if missing == 1 else f"{missing} lines are"
             self._put(Text(f"{lines} missing here: incomplete, or never written", "yellow"))
         if not wanted:

@@ -71,12 +71,15 @@ class GroundMetrics:
 
     def __init__(self, station: MeasuredStation, clock: Clock) -> None:
         self._station, self._counts = station, _Counts(clock)
+        self._awaited_from: dict[str, float] = {}
         station.subscribe(self._counts)
+        self._await(station.snapshot()[1])
 
     def page(self) -> MetricsPage:
         """The metrics at this moment. May be called by any thread."""
         page = MetricsPage(metrics.ALL, MAX_SERIES)
-        body = self._station.snapshot()[1].body
+        event = self._station.snapshot()[1]
+        body = event.body
         page.add(metrics.INFO, 1, __version__)
         page.add(metrics.COMMANDS, self._station.commands_sent)
         page.add(metrics.REFUSED, int(body["refused"]) + int(body["frames_refused"]))
@@ -91,9 +94,18 @@ class GroundMetrics:
             page.add(metrics.LINK_OPEN, link["open"], link["link"])
         for radio in body["radios"]:
             _radio(page, radio)
+        awaited_s = self._await(event)
         for agent in body["agents"]:
-            _agent(page, agent)
+            _agent(page, agent, awaited_s.get(agent["name"]))
         return page
+
+    def _await(self, event: GcsEvent) -> dict[str, float]:
+        """For how long the ground has waited for agents that it never received, by name: expected ones since its start."""
+        now = event.at.mono
+        never = [agent["name"] for agent in event.body["agents"] if agent["presence"] == PresenceState.NEVER.value]
+        with self._counts.guard:
+            self._awaited_from = {name: self._awaited_from.get(name, now) for name in never}
+            return {name: max(0.0, now - since) for name, since in self._awaited_from.items()}
 
 
 def _not_yet(page: MetricsPage, agents: Iterable[Mapping[str, Any]]) -> None:
@@ -106,12 +118,12 @@ def _not_yet(page: MetricsPage, agents: Iterable[Mapping[str, Any]]) -> None:
         page.add(metrics.GAPS, 0, agent["name"], PresenceState.LOST.value)
 
 
-def _agent(page: MetricsPage, agent: Mapping[str, Any]) -> None:
+def _agent(page: MetricsPage, agent: Mapping[str, Any], awaited_s: float | None) -> None:
     name = agent["name"]
     there = agent["presence"] in _THERE
     page.add(metrics.PRESENT, there, name)
     if agent["presence"] != PresenceState.LEFT.value:  # it was stopped on purpose: `PhmAgentLost` needs the age
-        page.add(metrics.AGE, agent["age_s"], name)
+        page.add(metrics.AGE, agent["age_s"] if awaited_s is None else round(awaited_s, 1), name)
     page.add(metrics.PERIOD, agent["period_s"], name)
     page.add(metrics.RESTARTS, agent["restarts"], name)
     page.add(metrics.GAPS, agent["late"], name, PresenceState.LATE.value)  # not an event

@@ -45,7 +45,7 @@ class Explainer:
 
     def __init__(self) -> None:
         self._faults: DuplicateFilter[tuple[str, str], str] = DuplicateFilter(_REMEMBERED)
-        self._last: DuplicateFilter[str, tuple[object, int]] = DuplicateFilter(_REMEMBERED)
+        self._last: DuplicateFilter[tuple[str, str], int] = DuplicateFilter(_REMEMBERED)
 
     def explain(self, event: Json, options: str = "") -> Words:
         """A line in words. The text is empty if the line before has reported the fault that this transition opened.
@@ -63,14 +63,14 @@ class Explainer:
 
     def gap(self, event: Json) -> int:
         """The number of missing lines before this one, by the numbers of the lines."""
-        boot, seq, agent = event.get("boot_id"), event.get("seq"), _text(event, "agent")
+        seq, run = event.get("seq"), (_text(event, "agent"), _text(event, "boot_id"))
         if not isinstance(seq, int):
             return 0
-        before = self._last.get(agent)
-        self._last.add(agent, (boot, seq))
-        if before is None or before[0] != boot or event.get("event") == "lost":
+        before = self._last.get(run)
+        self._last.add(run, seq)
+        if before is None or event.get("event") == "lost":
             return 0
-        return max(0, seq - before[1] - 1)
+        return max(0, seq - before - 1)
 
 
 def words(event: Json, options: str = "") -> Words:

@@ -43,9 +43,13 @@ class LineFilter:
             return False
         if self.levels and level(event) not in self.levels:
             return False
-        if self.since_s is not None and utc_s(event) < self.since_s:
-            return False
         if self.units and not _matches(str(event.get("unit", "")), self.units):
+            return False
+        return self.covers(event)
+
+    def covers(self, event: Json) -> bool:
+        """Whether its time and agent are wanted: gaps of the log there are shown, whatever is missing."""
+        if self.since_s is not None and utc_s(event) < self.since_s:
             return False
         return not self.agents or self._is_of_agent(event)
 

@@ -33,7 +33,9 @@ ACTIONS = _counter(
     "phm_actions_total", "Steps of recovery actions; outcome: the phase of the step", "slot", "action", "outcome"
 )
 RECOVERY = _histogram(
-    "phm_recovery_duration_seconds", "Seconds from the report of a fault to its end, of resolved faults", "slot"
+    "phm_recovery_duration_seconds",
+    "Seconds from the report of a fault to its end, of resolved faults whose end was observed",
+    "slot",
 )
 CONFIRMATION = _histogram(
     "phm_detection_duration_seconds",

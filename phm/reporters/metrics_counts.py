@@ -6,7 +6,7 @@ import threading
 from collections import Counter
 from collections.abc import Callable
 
-from phm.core.model import ActionEvent, Event, Fault, FaultClosed, FaultOpened, Outcome, Report, Slot
+from phm.core.model import NOT_OBSERVED, ActionEvent, Event, Fault, FaultClosed, FaultOpened, Outcome, Report, Slot
 from phm.reporters import metrics_catalog as metrics
 from phm.wire.metrics_page import HistogramCounts, Labels, MetricsPage
 
@@ -61,7 +61,7 @@ class EventCounts:
 
     def _ended(self, fault: Fault) -> None:
         self._closed[slot_name(fault.slot), fault.outcome.value] += 1
-        if fault.outcome is Outcome.RESOLVED and fault.closed is not None:
+        if fault.outcome is Outcome.RESOLVED and fault.closed is not None and fault.by not in NOT_OBSERVED:
             _observe(self._recovery, fault, fault.closed.mono - fault.opened.mono)
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
-from phm.review import check_rates, levels
+from phm.review import check_rates, levels, own_figures
 from phm.review.omitted import OmittedCounts
-from phm.review.record import AgentRecord, Record
+from phm.review.record import AgentRecord, Record, ended_armed
 from phm.review.spans import Span, clipped, total, without
 
 Json = dict[str, Any]
@@ -35,36 +36,40 @@ def row(
     shown, units_joined_s = _shown_units(
         agent, units, begin, end, omitted, max(LEAST_UNIT_SEGMENTS, most // MOST_UNITS)
     )
-    down, ran_s = _down(agent, begin, end)
+    down, uptime = _down(agent, begin, end)
     armed = clipped(agent.armed, begin, end)
     lost, missing = _lost(agent)
+    failing = _failing(agent, begin, end)
+    if not agent.runs and segments and segments[-1][2] == "ERROR":
+        failing = [{"unit": "", "summary": "", "brief": ""}]
+    inside = [(run, clock) for run, clock in agent.runs if own_figures.overlaps(run, clock, begin, end)]
     runs = [
         {
             "boot_id": run.boot_id,
             "begin": round(clock.t(run.cover.spans[0][0]), 3),
             "end": round(clock.t(run.cover.spans[-1][1]), 3),
         }
-        for run, clock in agent.runs
-        if run.cover.spans
+        for run, clock in inside
     ]
     return {
         "agent": agent.name,
         "agent_id": agent.id,
         "logged": bool(agent.runs),
-        "versions": sorted({run.version for run, _ in agent.runs if run.version}),
+        "versions": sorted({run.version for run, _ in inside if run.version}),
         "runs": omitted.keep(agent.name, "runs of PHM", runs, MOST_RUNS),
         "faults": len(check_rates.opened(faults, round(begin, 3))),
         "error_s": round(spent.get("ERROR", 0.0), 3),
         "warn_s": round(spent.get("WARN", 0.0), 3),
         "unknown_s": round(spent.get("STALE", 0.0), 3),
         "armed_s": round(total(armed), 3),
-        "uptime": round(1 - total(down) / ran_s, 6) if ran_s else None,
+        "uptime": uptime,
         "down": _spans(agent, "times in which PHM did not run", down, omitted),
         "armed": _spans(agent, "armed periods", armed, omitted),
         "link_gaps": _spans(agent, "link gaps", clipped(levels.gaps(record, agent.id), begin, end), omitted),
         "levels": _rounded(segments),
         "joined_s": round(joined_s, 2),
         "units": shown,
+        "failing": failing,
         "units_joined_s": round(units_joined_s, 2),
         "actions": omitted.keep(agent.name, "actions in the timeline", _actions(agent, begin, end), MOST_ACTIONS),
         "lost_lines": lost,
@@ -73,15 +78,48 @@ def row(
     }
 
 
-def _down(agent: AgentRecord, begin: float, end: float) -> tuple[list[Span], float]:
-    """When PHM did not run, and of how many seconds that is said; 0: of none."""
+def _failing(agent: AgentRecord, begin: float, end: float) -> list[Json]:
+    """Units in ERROR at the end of the window, or where the log of the agent ends in it, with their last line about it."""
+    said: dict[str, tuple[str, str, str]] = {}
+    for run, clock in agent.runs:
+        if not run.cover.spans or clock.t(run.cover.spans[-1][1]) < begin:
+            continue
+        known = {
+            unit: (body["level"], body["summary"], "") for unit, body in run.units.items() if clock.t(body["at"]) <= end
+        }
+        changes = (change for change in run.levels() if clock.t(change.mono) <= end)
+        known.update({change.unit: (change.level, change.summary, change.brief) for change in changes})
+        said = known or said
+    return [
+        {"unit": unit, "summary": summary, "brief": brief}
+        for unit, (level, summary, brief) in said.items()
+        if level == "ERROR"
+    ]
+
+
+def _down(agent: AgentRecord, begin: float, end: float) -> tuple[list[Span], float | None]:
+    """When PHM did not run, and the share of the time in which it ran while the computer was on; None: not known."""
     first = max(begin, agent.cover[0][0]) if agent.cover else begin
     # A log that ends while its autopilot is armed was not ended by anyone: PHM, or its computer, was lost.
     flying = agent.flying and bool(agent.armed) and agent.armed[-1][1] >= agent.end - 1.0
     last = end if flying else min(end, agent.end)
     if not agent.runs or last <= first:
-        return [], 0.0
-    return clipped(without([[first, last]], agent.cover), begin, end), last - first
+        return [], None
+    on = without([[first, last]], _off(agent))
+    down = clipped(without([[first, last]], agent.cover), begin, end)
+    return down, round(1 - total(without(on, agent.cover)) / total(on), 6) if on else None
+
+
+def _off(agent: AgentRecord) -> list[Span]:
+    """When its computer was off, or started: between runs of two starts of it. In flight it was not switched off on purpose."""
+    found: list[Span] = []
+    runs = [(run, clock) for run, clock in agent.runs if run.cover.spans]
+    for (run, clock), (later, later_clock) in itertools.pairwise(runs):
+        span = [clock.t(run.cover.spans[-1][1]), later_clock.t(later.cover.spans[0][0])]
+        known = run.machine_boot and later.machine_boot and run.machine_boot != later.machine_boot
+        if known and span[0] < span[1] and not ended_armed(run):
+            found.append(span)
+    return without(found, agent.cover)
 
 
 def _lost(agent: AgentRecord) -> tuple[int, int]:

@@ -21,6 +21,8 @@ KINDS = {
     "data": "topic",
 }
 """The kind of subject that the units of a check have."""
+RANK_KNOWN = ("ERROR", "WARN", "OK", "STALE")
+"""One unit that is never known must not hide for how long the others were OK."""
 MOST_ROWS = 2000
 """Of one agent."""
 
@@ -39,7 +41,10 @@ def rows(
         kind = KINDS.get(check)
         if kind and subject:
             groups.setdefault((kind, subject), []).append(segments)
-    found = [_row(agent, kind, name, of_agent(each, agent.cover), begin, end) for (kind, name), each in groups.items()]
+    found = [
+        _row(agent, kind, name, of_agent(each, agent.cover, RANK_KNOWN), begin, end)
+        for (kind, name), each in groups.items()
+    ]
     order = ("agent", "layer", "container", "node", "topic")
     ordered = sorted((row for row in found if row is not None), key=lambda row: (order.index(row["kind"]), row["name"]))
     return omitted.keep(agent.name, "availability: layers, containers, nodes and topics", ordered, MOST_ROWS)

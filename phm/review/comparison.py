@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from phm.review.check_rates import opened, repair_times
-from phm.review.sentences import vehicles
+from phm.review.sentences import times, vehicles
 from phm.review.statistics import same_rate
 
 Json = dict[str, Any]
@@ -47,6 +47,7 @@ def _about(document: Json) -> Json:
     versions = sorted({version for agent in document["agents"] for version in agent["versions"]})
     return {
         "window": document["window"],
+        "lasted_s": times(document)["duration_s"],
         "agents": len(vehicles(document)),
         "versions": versions,
         "faults": len(opened(document["faults"], document["window"]["begin"])),

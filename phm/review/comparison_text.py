@@ -47,7 +47,7 @@ def _about(name: str, about: Json) -> str:
     window = about["window"]
     flight = f"flight {window['flight']}, " if window["flight"] else ""
     counts = f"{about['agents']} agents{version}, {about['faults']} faults"
-    return f"{name}: {flight}{length(window['duration_s'])}, {counts} in {length(about['ran_s'])} of PHM running."
+    return f"{name}: {flight}{length(about['lasted_s'])}, {counts} in {length(about['ran_s'])} of PHM running."
 
 
 def _row(row: Json, kind: str) -> tuple[str, ...]:

@@ -182,7 +182,17 @@ def _files(record: Record) -> Json:
         {"what": what, "file": path, "count": count, "line": line}
         for (what, path), (count, line) in problems.found.items()
     ]
-    grounds = [{"run": ground.run, "version": ground.version, "lines": ground.lines} for ground, _ in record.grounds]
+    grounds = [
+        {
+            "run": ground.run,
+            "version": ground.version,
+            "lines": ground.lines,
+            "lost_lines": sum(ground.lost.values()),
+            "missing_lines": ground.missing_lines,
+            "left_out": ground.left_out,
+        }
+        for ground, _ in record.grounds
+    ]
     return {
         "lines": record.part.lines,
         "bytes": record.part.bytes,

@@ -76,6 +76,7 @@ class Event(msgspec.Struct, gc=False):
     link: str | None = ""
     presence: str = ""
     silent_s: float | None = None
+    age_s: float | None = None
     armed: bool | None = None
     word: str | int | None = None
     changed: msgspec.Raw = msgspec.Raw()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from typing import Any, NamedTuple
 
 from phm.review.omitted import OmittedCounts
@@ -29,7 +29,10 @@ class _Lines(NamedTuple):
 
 
 def rows(agent: AgentRecord, begin: float, end: float, omitted: OmittedCounts) -> list[Json]:
-    """Faults that were open at any time between begin and end."""
+    """Faults that were open at any time between begin and end, or given up and their unit not OK again.
+
+    `ok_again`: when that was, of one that was given up; None: not until `end`.
+    """
     running = agent.cover[-1][1] if agent.cover else 0.0
     lines = _lines(agent)
     steps: dict[str, list[Json]] = {}
@@ -38,18 +41,36 @@ def rows(agent: AgentRecord, begin: float, end: float, omitted: OmittedCounts) -
             step = {"t": round(t, 3), "action": mark.body["action"], "phase": mark.body["phase"], "text": mark.text}
             steps.setdefault(mark.body["fault"], []).append({**step, "attempt": mark.body["attempt"]})
     evidence = {change.fault: change.values for _, change in reversed(agent.changes) if change.values}
+    recovered = _recovered(agent)
     found = []
     for fault in agent.faults:
-        closed = fault["closed"]
-        if fault["opened"] > end or (closed if closed is not None else running) < begin:
+        closed, again = fault["closed"], None
+        last = closed if closed is not None else running
+        if closed is not None and fault["outcome"] == "escalated":
+            times = recovered.get(fault["unit"], [])
+            again = next(iter(times[bisect_right(times, closed) :]), None)
+            last = again if again is not None else max(closed, running)
+        if fault["opened"] > end or last < begin:
             continue
         done = steps.get(fault["fault"], [])
         row = _row(agent, fault, done, evidence.get(fault["fault"], {}), running)
         if closed is not None and closed > end and fault["outcome"] in LATER:
             row.update(closed=None, outcome="open", by="")
         kept = omitted.keep(agent.name, "actions of a fault", done, MOST_STEPS)
+        row["ok_again"] = None if again is None or again > end else round(again, 3)
         found.append({**row, "steps": kept, "lines": _around(lines, fault)})
     return found
+
+
+def _recovered(agent: AgentRecord) -> dict[str, list[float]]:
+    """When lines said that a unit is OK, by unit."""
+    found: dict[str, list[float]] = {}
+    for run, clock in agent.runs:
+        first = [(body["at"], unit, body["level"]) for unit, body in run.units.items()]
+        for mono, unit, level in [*first, *((each.mono, each.unit, each.level) for each in run.levels())]:
+            if level == "OK":
+                found.setdefault(unit, []).append(clock.t(mono))
+    return {unit: sorted(times) for unit, times in found.items()}
 
 
 def _row(agent: AgentRecord, fault: Json, steps: list[Json], evidence: Json, running: float) -> Json:

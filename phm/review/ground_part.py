@@ -30,6 +30,8 @@ class GroundRun:
     left_out: int = 0
     cover: Cover = field(default_factory=lambda: Cover(COVER_S))
     numbers: Cover = field(default_factory=lambda: Cover(1.0))
+    lost: dict[int, int] = field(default_factory=dict)
+    """Lines that could not be written, by the number of the event `lost` that counts them."""
     clock: list[tuple[float, float]] = field(default_factory=list)
     presence: list[tuple[float, int, str, float]] = field(default_factory=list)
     """Entries (mono, agent, presence, silent_s)."""
@@ -38,6 +40,8 @@ class GroundRun:
     texts: list[tuple[float, int, int, str, str]] = field(default_factory=list)
     """(mono, agent, slot, word, brief) of PHM's lines about changes."""
     armed: list[tuple[float, int, bool]] = field(default_factory=list)
+    silent: list[tuple[float, int, float]] = field(default_factory=list)
+    """Entries (mono, system, age_s) of autopilots that were lost: their last heartbeat was so long before."""
     bytes_of: dict[int, int] = field(default_factory=dict)
     """Bytes of the lines of text received from each agent."""
     text_bytes: list[tuple[float, int, int]] = field(default_factory=list)
@@ -59,13 +63,17 @@ class GroundRun:
             self.clock.append((event.mono, difference))
         if event.event == "received":
             self._received(event)
-        elif len(self.texts) + len(self.levels) + len(self.presence) + len(self.armed) > MOST_EVENTS:
+        elif len(self.texts) + len(self.levels) + len(self.presence) + len(self.armed) + len(self.silent) > MOST_EVENTS:
             self.left_out += 1
         elif event.event == "autopilot":
-            if event.armed is not None and event.system is not None:
+            if event.presence == "lost" and event.system is not None:
+                self.silent.append((event.mono, event.system, max(0.0, event.age_s or 0.0)))
+            elif event.armed is not None and event.system is not None:
                 self.armed.append((event.mono, event.system, event.armed))
         elif event.event == "snapshot":
             self._radios(event)
+        elif event.event == "lost":
+            self.lost[event.seq] = max(0, event.lines)
         elif event.event == "start":
             self.version = event.version[:40]
         elif isinstance(event.agent, int):
@@ -76,11 +84,13 @@ class GroundRun:
         self.lines, self.left_out = self.lines + other.lines, self.left_out + other.left_out
         self.cover.merge(other.cover)
         self.numbers.merge(other.numbers)
+        self.lost.update(other.lost)
         self.clock = sorted({*self.clock, *other.clock})
         self.presence = sorted({*self.presence, *other.presence})
         self.levels = sorted({*self.levels, *other.levels})
         self.texts = sorted({*self.texts, *other.texts})
         self.armed = sorted({*self.armed, *other.armed})
+        self.silent = sorted({*self.silent, *other.silent})
         room = max(0, MOST_EVENTS - len(self.text_bytes))
         self.untimed += other.untimed + len(other.text_bytes[room:])
         self.text_bytes += other.text_bytes[:room]
@@ -94,6 +104,12 @@ class GroundRun:
                 self.series[name].merge(series)
             elif len(self.series) < MOST_SERIES:
                 self.series[name] = series
+
+    @property
+    def missing_lines(self) -> int:
+        """Without those that an event `lost` counts: it has the number of the last of them."""
+        gaps = sum(int(after - before) - 1 for before, after in self.numbers.gaps())
+        return max(0, gaps - sum(max(0, lines - 1) for lines in self.lost.values()))
 
     def _agent(self, event: Event, agent: int) -> None:
         if event.name and len(self.names) < 300:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 from phm.review.ground_part import GroundRun
 from phm.review.record import AgentRecord, Record
-from phm.review.spans import Span, clipped
+from phm.review.spans import Span, clipped, joined, without
 
 Segment = tuple[float, float, str]
 RANK = ("ERROR", "WARN", "STALE", "OK")
@@ -36,8 +36,8 @@ def of_units(agent: AgentRecord) -> dict[str, list[Segment]]:
     return {unit: _cut(segments, agent.cover) for unit, segments in found.items()}
 
 
-def of_agent(units: Iterable[Sequence[Segment]], cover: Sequence[Span]) -> list[Segment]:
-    """The worst level of all units at each moment."""
+def of_agent(units: Iterable[Sequence[Segment]], cover: Sequence[Span], rank: Sequence[str] = RANK) -> list[Segment]:
+    """The worst level of all units at each moment: the first one in `rank`."""
     edges: list[tuple[float, int, str]] = []
     for segments in units:
         for begin, end, level in segments:
@@ -49,7 +49,7 @@ def of_agent(units: Iterable[Sequence[Segment]], cover: Sequence[Span]) -> list[
     since, level = 0.0, ""
     for t, step, name in edges:
         counts[name] += step
-        worst = next((each for each in RANK if counts[each] > 0), "")
+        worst = next((each for each in rank if counts[each] > 0), "")
         if worst == level:
             continue
         if level and t > since:
@@ -59,16 +59,19 @@ def of_agent(units: Iterable[Sequence[Segment]], cover: Sequence[Span]) -> list[
 
 
 def of_ground(record: Record, agent: int) -> list[Segment]:
-    """An agent's worst level as the ground received it, for agents without a log; none in the gaps."""
-    result: list[Segment] = []
+    """An agent's worst level as the ground received it, for agents without a log; none in the gaps. Of several that recorded at the
+    same time the worst at each moment."""
+    found: list[list[Segment]] = []
     for ground, clock in record.grounds:
+        result: list[Segment] = []
         known = [(clock.t(mono), level) for mono, level in _received(ground, agent)]
         end = clock.t(ground.cover.spans[-1][1]) if ground.cover.spans else 0.0
         for place, (t, level) in enumerate(known):
             until = known[place + 1][0] if place + 1 < len(known) else end
             if level and until > t:
                 result.append((t, until, level))
-    return _joined(sorted(result))
+        found.append(result)
+    return of_agent(found, joined([segment[:2] for result in found for segment in result]))
 
 
 def _received(ground: GroundRun, agent: int) -> list[tuple[float, str]]:
@@ -95,21 +98,30 @@ def _received(ground: GroundRun, agent: int) -> list[tuple[float, str]]:
 
 
 def gaps(record: Record, agent: int) -> list[Span]:
-    """When the ground did not receive the agent: from its last heartbeat to the next one."""
+    """When no ground that recorded received the agent: from its last heartbeat to the next one."""
     found: list[Span] = []
+    received: list[Span] = []
     for ground, clock in record.grounds:
-        since: float | None = None
+        lost: float | None = None
+        there: float | None = None
         for mono, which, presence, silent_s in ground.presence:
             if which != agent:
                 continue
+            t = clock.t(mono) - (silent_s if presence == "lost" else 0.0)
+            if presence != "alive" and there is not None:
+                received.append([there, t])
+                there = None
+            elif presence == "alive" and there is None:
+                there = t
             if presence == "lost":
-                since = clock.t(mono) - silent_s
-            elif since is not None:
-                found.append([since, clock.t(mono)])
-                since = None
-        if since is not None and ground.cover.spans:
-            found.append([since, clock.t(ground.cover.spans[-1][1])])
-    return sorted(found)
+                lost = t
+            elif lost is not None:
+                found.append([lost, t])
+                lost = None
+        end = clock.t(ground.cover.spans[-1][1]) if ground.cover.spans else 0.0
+        found += [[lost, end]] if lost is not None else []
+        received += [[there, end]] if there is not None else []
+    return without(found, received)
 
 
 def seconds(segments: Iterable[Segment], begin: float, end: float) -> dict[str, float]:
@@ -177,7 +189,7 @@ def _joined(segments: Sequence[Segment]) -> list[Segment]:
     result: list[Segment] = []
     for begin, end, level in segments:
         if result and result[-1][2] == level and begin <= result[-1][1] + 1e-6:
-            result[-1] = (result[-1][0], end, level)
+            result[-1] = (result[-1][0], max(result[-1][1], end), level)
         else:
             result.append((begin, end, level))
     return result

@@ -23,7 +23,7 @@ def build(record: Record, uptimes: dict[str, float], begin: float, end: float, *
     agents = [
         _agent(record, agent, uptimes, begin, end, whole=whole)
         for agent in record.agents
-        if any(_overlaps(run, clock, begin, end) for run, clock in agent.runs)
+        if any(overlaps(run, clock, begin, end) for run, clock in agent.runs)
     ]
     return {"uptime": round(sum(uptimes.values()) / len(uptimes), 6) if uptimes else None, "agents": agents}
 
@@ -34,7 +34,7 @@ def _agent(
     runs = [
         (run, begin - clock.shift - EDGE_S, end - clock.shift + EDGE_S)
         for run, clock in agent.runs
-        if _overlaps(run, clock, begin, end)
+        if overlaps(run, clock, begin, end)
     ]
     took = [
         seconds
@@ -68,7 +68,8 @@ def _by_reload(run: Run) -> bool:
     return any(text.startswith(RELOADED) and not text.startswith(f"{RELOADED}no changes") for text in said)
 
 
-def _overlaps(run: Run, clock: RunClock, begin: float, end: float) -> bool:
+def overlaps(run: Run, clock: RunClock, begin: float, end: float) -> bool:
+    """Whether the run has lines of the window, or before and after it."""
     spans = run.cover.spans
     return bool(spans) and clock.t(spans[0][0]) <= end and clock.t(spans[-1][1]) >= begin
 

@@ -54,7 +54,7 @@ def _title(document: Json) -> str:
 
 def _data(document: Json) -> Json:
     """What the code of the page needs. Times are seconds since the beginning."""
-    begin = document["window"]["begin"]
+    begin, days = document["window"]["begin"], {clock_text(document["window"][key])[:10] for key in ("begin", "end")}
     faults = [
         {**fault, "lines": [[round(line["t"] - begin, 3), line["text"]] for line in fault["lines"]]}
         for fault in document["faults"][:MOST_FAULTS]
@@ -70,6 +70,7 @@ def _data(document: Json) -> Json:
     return {
         "other": others,
         "window": document["window"],
+        "dated": len(days) > 1,
         "agents": document["agents"],
         "faults": faults,
         "plots": plots,

@@ -248,16 +248,38 @@ def _end_forgotten(agent: AgentRecord) -> None:
 def _armed(agent: AgentRecord, grounds: list[tuple[GroundRun, RunClock]]) -> None:
     """From the flights in its log, else from what its check of the autopilot says; from the ground where it has no log."""
     edges = _logged(agent, _by_flights) or _logged(agent, _by_autopilot)
-    end = agent.end
+    agent.armed, agent.flying = _spans(edges, agent.end), _flying(edges)
     if not agent.runs:
-        edges = [
-            (clock.t(mono), armed, None)
-            for ground, clock in grounds
-            for mono, which, armed in ground.armed
-            if which == agent.id
+        agent.armed = _armed_by_ground(agent.id, grounds)
+
+
+def _armed_by_ground(system: int, grounds: list[tuple[GroundRun, RunClock]]) -> list[Span]:
+    """A period ends with the last heartbeat before the autopilot was lost, or with the run of the ground, unless the next heartbeat
+    that was received is armed, too."""
+    spans: list[Span] = []
+    broken = False  # the last one ended without a disarming
+    for ground, clock in sorted(
+        grounds, key=lambda one: one[1].t(one[0].cover.spans[0][0]) if one[0].cover.spans else 0.0
+    ):
+        said: list[tuple[float, bool | None, float]] = [
+            (mono, on, 0.0) for mono, which, on in ground.armed if which == system
         ]
-        end = max((clock.t(ground.cover.spans[-1][1]) for ground, clock in grounds if ground.cover.spans), default=0.0)
-    agent.armed, agent.flying = _spans(edges, end), _flying(edges)
+        said += [(mono, None, age_s) for mono, which, age_s in ground.silent if which == system]
+        since: float | None = None
+        for mono, armed, age_s in sorted(said, key=lambda one: one[0]):
+            t = clock.t(mono - age_s)
+            if armed and since is None:
+                since = spans.pop()[0] if broken and t >= spans[-1][1] else t
+            elif not armed and since is not None:
+                spans.append([since, max(since, t)])
+                since = None
+                broken = armed is None
+            elif armed is False:
+                broken = False
+        if since is not None:
+            spans.append([since, clock.t(ground.cover.spans[-1][1])])
+            broken = True
+    return [span for span in joined(spans) if span[0] < span[1]]
 
 
 def _logged(agent: AgentRecord, say: Callable[[Run], list[_Said]]) -> list[tuple[float, bool, Any]]:
@@ -275,6 +297,12 @@ def _logged(agent: AgentRecord, say: Callable[[Run], list[_Said]]) -> list[tuple
     return edges
 
 
+def ended_armed(run: Run) -> bool:
+    """Whether the autopilot was armed at the end of the run, as far as its log says."""
+    said = _by_flights(run) or _by_autopilot(run)
+    return bool(said) and said[-1].armed
+
+
 def _by_flights(run: Run) -> list[_Said]:
     marks = [(mark.mono, mark.body) for mark in run.marks if mark.what == "flight"]
     return [
@@ -289,9 +317,14 @@ def _by_autopilot(run: Run) -> list[_Said]:
 
 
 def _armed_by_others(agent: AgentRecord, others: list[ExternalEntry]) -> None:
-    """From other records, where neither its log nor the ground says it."""
+    """From other records, where neither its log nor the ground says it. In each an armed period ends at the latest with its last entry:
+    the next one may be of another day, and begins with a change, which does not continue anything."""
     edges = [(other.t, other.began, None) for other in others if other.what == "arming"]
-    agent.armed, agent.flying = _spans(edges, others[-1].t if others else 0.0), _flying(edges)
+    spans: list[Span] = []
+    for file in {other.file for other in others}:
+        mine = [other for other in others if other.file == file]
+        spans += _spans([(one.t, one.began, None) for one in mine if one.what == "arming"], max(one.t for one in mine))
+    agent.armed, agent.flying = joined(spans), _flying(edges)
 
 
 def _flying(edges: Sequence[tuple[float, bool, Any]]) -> bool:

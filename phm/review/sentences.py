@@ -47,19 +47,25 @@ def length(seconds: float | None) -> str:
     return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
 
 
+def times(document: Json) -> Json:
+    """`begin`, `end` and `duration_s` of the flight, without the margin of its window; of the window if it is not a flight."""
+    window: Json = document["window"]
+    return next((flight for flight in document["flights"] if flight["number"] == window["flight"]), window)
+
+
 def _what(document: Json) -> str:
-    window, agents = document["window"], vehicles(document)
+    window, agents, lasted = document["window"], vehicles(document), times(document)
     which = f"Flight {window['flight']}" if window["flight"] else "The record"
     flown = "" if window["flight"] else f" and {_count(len(document['flights']), 'flight')}"
-    begin, end = clock_text(window["begin"])[:19], clock_text(window["end"])[:19]
+    begin, end = clock_text(lasted["begin"])[:19], clock_text(lasted["end"])[:19]
     when = f"from {begin} to {end[11:] if end[:10] == begin[:10] else end} UTC"
-    return f"{which} lasted {length(window['duration_s'])}, {when}, with {_count(len(agents), 'agent')}{flown}."
+    return f"{which} lasted {length(lasted['duration_s'])}, {when}, with {_count(len(agents), 'agent')}{flown}."
 
 
 def _faults(document: Json) -> str:
     faults = opened(document["faults"], document["window"]["begin"])
     if not faults:
-        return "There was no fault."
+        return "No fault opened." if counted(document["faults"]) else "There was no fault."
     actions = sum(by_action(fault) for fault in faults)
     resolved = sum(fault["outcome"] == "resolved" for fault in faults)
     times = repair_times(faults)
@@ -72,14 +78,17 @@ def _open(document: Json) -> str:
     faults = counted(document["faults"])
     left = [fault for fault in faults if fault["outcome"] == "open"]
     given_up = sum(fault["outcome"] == "escalated" for fault in faults)
+    named = {(fault["agent"], fault["unit"]) for fault in faults if fault["outcome"] in ("open", "escalated")}
+    others = sum(bool(row["unit"]) and (row["agent"], row["unit"]) not in named for row in _failing(document))
+    also = f"; {_count(others, 'unit')} without one {'was' if others == 1 else 'were'} in ERROR" if others else ""
     if not left and not given_up:
-        return "No fault was open at the end, and PHM gave up on none."
+        return f"No fault was open at the end, and PHM gave up on none{also}."
     names = ", ".join(f"{fault['agent']} {fault['brief'] or fault['unit']}" for fault in left[:3])
     more = f" and {len(left) - 3} more" if len(left) > 3 else ""
     opened = f"{_count(len(left), 'fault')} {'was' if len(left) == 1 else 'were'} open at the end" + (
         f" ({names}{more})" if left else ""
     )
-    return f"{opened}, and PHM gave up on {given_up}."
+    return f"{opened}, and PHM gave up on {given_up}{also}."
 
 
 def _worst(document: Json) -> str:
@@ -94,9 +103,16 @@ def _worst(document: Json) -> str:
 
 def _next(document: Json) -> str:
     faults = counted(document["faults"])
-    left = [fault for fault in faults if fault["outcome"] in ("open", "escalated")]
+    left = [
+        fault
+        for fault in faults
+        if fault["outcome"] == "open" or (fault["outcome"] == "escalated" and fault["ok_again"] is None)
+    ]
+    left = left or _failing(document)[:1]
     if left:
         first = left[-1]
+        if not first["unit"]:
+            return f"Before the next flight, look at {first['agent']}: it was in ERROR when it was last received."
         advice = ADVICE.search(first["summary"])
         look = ": ".join(filter(None, (f"look at {first['unit']}", first["brief"])))
         what = advice.group(1).rstrip(".") if advice else look
@@ -105,10 +121,15 @@ def _next(document: Json) -> str:
     if repeated and repeated[0][1] > 1:
         (agent, unit), count = repeated[0]
         return f"Before the next flight, find out why {unit} of {agent} failed {count} times; each time it recovered."
-    lost = sum(agent["lost_lines"] + agent["missing_lines"] for agent in document["agents"])
+    lost = sum(row["lost_lines"] + row["missing_lines"] for row in [*document["agents"], *document["files"]["grounds"]])
     if lost:
         return f"Before the next flight, check the disks: {lost} lines of the logs are missing."
     return "Nothing in the record has to be done before the next flight."
+
+
+def _failing(document: Json) -> list[Json]:
+    """The units that were in ERROR at the end, with or without a fault; one without a name: of an agent without a log."""
+    return [{"agent": agent["agent"], **row} for agent in document["agents"] for row in agent["failing"]]
 
 
 def _count(number: int, word: str) -> str:

@@ -130,9 +130,10 @@ def phm(row: Json) -> tuple[str, ...]:
 
 
 def cut(document: Json) -> list[tuple[str, ...]]:
-    """What is not in the report: lines that the logs lack, and what is beyond a limit."""
+    """What is not in the report: lines that the logs and the ground's records lack, and what is beyond a limit."""
     found = []
-    for row in document["agents"]:
+    grounds = [{"agent": "ground", **row} for row in document["files"]["grounds"]]
+    for row in [*document["agents"], *grounds]:
         lacking = (
             ("lines that PHM could not write", row["lost_lines"]),
             ("lines that are missing in the logs", row["missing_lines"]),

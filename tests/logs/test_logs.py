@@ -272,6 +272,26 @@ def test_missing_lines_are_shown(tmp_path: Path) -> None:
     assert "3 lines are missing here" in logs(tmp_path).output
 
 
+def test_missing_lines_of_other_times_and_agents_are_not_shown(tmp_path: Path) -> None:
+    """Two agents with one name, whose lines alternate; lines 4 to 6 of both are missing, and lines 11 and 12 of the second."""
+    for agent, boot, lost in ((1, "boot1", (4, 5, 6)), (2, "boot2", (4, 5, 6, 11, 12))):
+        line = {"v": 2, "agent": "scout", "agent_id": agent, "boot_id": boot, "event": "note", "kind": "NOTE"}
+        lines = [
+            {**line, "seq": at, "utc_s": 1000.0 + at + agent / 10, "mono": at, "text": f"n{at}"} for at in range(16)
+        ]
+        (tmp_path / boot).mkdir()
+        text = "".join(f"{json.dumps(each)}\n" for each in lines if each["seq"] not in lost)
+        (tmp_path / boot / "phm.jsonl").write_text(text)
+
+    def gaps(*words: str) -> list[str]:
+        return [line[:7] for line in logs(tmp_path, *words).output.splitlines() if "missing here" in line]
+
+    assert gaps() == ["3 lines", "3 lines", "2 lines"]
+    assert gaps("--agent", "2") == ["3 lines", "2 lines"]
+    assert gaps("--since", "1970-01-01T00:16:48") == ["2 lines"]
+    assert gaps("--agent", "1", "--since", "1970-01-01T00:16:48") == []
+
+
 def test_text_from_outside_is_safe_and_bounded(tmp_path: Path) -> None:
     """No escape reaches the terminal, whatever types the keys have."""
     hostile = {

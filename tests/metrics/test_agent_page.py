@@ -8,13 +8,13 @@ import pytest
 from prometheus_client.openmetrics.parser import text_string_to_metric_families as parse_openmetrics
 from prometheus_client.parser import text_string_to_metric_families as parse_plain
 
-from phm.core.model import Layer, Level, Slot
+from phm.core.model import NOT_OBSERVED, FaultClosed, Layer, Level, Outcome, Slot
 from phm.reporters import metrics_catalog
 from phm.reporters.metrics_counts import EventCounts
 from phm.reporters.metrics_page import build_page
 from phm.wire.metrics_page import LEFT_OUT, MAX_LABEL, MAX_SERIES, HistogramCounts, clean_label
 from phm.wire.openmetrics import MetricsText, wants_openmetrics
-from tests.metrics.agent import context, state, text_of
+from tests.metrics.agent import AT, FAULT, context, counts, state, text_of
 from tests.metrics.prometheus import promtool
 
 OPENMETRICS = "application/openmetrics-text;version=1.0.0,text/plain;version=0.0.4;q=0.5"
@@ -163,6 +163,18 @@ def test_counters_of_events_that_never_happened_are_0() -> None:
     assert 'phm_alarms_total{slot="host"} 0.0' in lines
     for outcome in ("resolved", "escalated", "reattributed"):
         assert f'phm_faults_total{{outcome="{outcome}",slot="host"}} 0.0' in lines
+
+
+@pytest.mark.parametrize("by", sorted(NOT_OBSERVED))
+def test_a_fault_whose_end_no_one_observed_has_no_recovery_duration(by: str) -> None:
+    """It is a fault that was closed, as before."""
+    about = context()
+    happened = counts(about)
+    closed = replace(FAULT, outcome=Outcome.RESOLVED, by=by, closed=replace(AT, mono=AT.mono + 3600.0))
+    happened.take(FaultClosed(AT, closed))
+    lines = MetricsText(lambda: build_page(about, happened)).render(PLAIN)[0].decode().splitlines()
+    assert 'phm_recovery_duration_seconds_sum{slot="container"} 7.0' in lines
+    assert 'phm_faults_total{outcome="resolved",slot="container"} 2.0' in lines
 
 
 @pytest.mark.parametrize("received", [True, False])

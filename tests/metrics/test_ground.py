@@ -17,8 +17,9 @@ from phm.gcs.web.routes import metrics as routes
 from phm.testing import FakeClock
 from phm.wire.metrics_page import MetricsPage
 from phm.wire.openmetrics import MetricsText
+from phm.wire.tunnel import SwarmDigest
 from tests.fakes.until import until
-from tests.gcs.bench import HEALTHY, Ground as Fleet, autopilot, phm_heartbeat
+from tests.gcs.bench import HEALTHY, Ground as Fleet, autopilot, phm_heartbeat, tunnel_frame
 from tests.gcs.web.swarm import Ground, ground
 from tests.metrics.ground import Station, ground_text
 from tests.metrics.prometheus import Prometheus, promtool
@@ -31,7 +32,7 @@ def here() -> Iterator[Ground]:
 
 
 def test_every_metric_of_the_ground() -> None:
-    """Of a lost agent there is its age, and no level; of one that was never received only that it is missing."""
+    """Of a lost agent there is its age, and no level; of one that was never received for how long it is missing."""
     families = {family.name: family for family in parse_openmetrics(ground_text().decode())}  # type: ignore[no-untyped-call]
     for metric in metrics_catalog.ALL:
         assert metric.name.removesuffix("_total") in families, metric.name
@@ -47,7 +48,7 @@ def test_every_metric_of_the_ground() -> None:
     assert values["phm_gcs_slot_level", (("agent", "A06"), ("slot", "container"))] == 0
     assert ("phm_gcs_slot_level", (("agent", "A05"), ("slot", "container"))) not in values
     assert values["phm_gcs_agent_present", (("agent", "A09"),)] == 0
-    assert ("phm_gcs_agent_age_seconds", (("agent", "A09"),)) not in values
+    assert values["phm_gcs_agent_age_seconds", (("agent", "A09"),)] == 60
     assert values["phm_gcs_texts_total", (("severity", "critical"),)] == 1
     assert values["phm_gcs_answers_total", (("result", "denied"),)] == 1
     assert values["phm_gcs_commands_sent_total", ()] == 3
@@ -92,6 +93,23 @@ def test_an_agent_that_left_has_no_age() -> None:
     assert lines(age=False) == ['phm_gcs_agent_present{agent="A05"} 0.0']
     fleet.receive(phm_heartbeat(5))
     assert lines(age=True) == ['phm_gcs_agent_age_seconds{agent="A05"} 0.0']
+
+
+def test_an_expected_agent_that_never_comes_has_an_age() -> None:
+    """So `PhmAgentLost` finds it, also after a restart of the ground; one that only the digest names is waited for since then."""
+    fleet = Fleet(expected=(5,))
+    metrics = GroundMetrics(Station(fleet), FakeClock())
+
+    def ages() -> list[str]:
+        found = MetricsText(metrics.page).render("text/plain")[0].decode().splitlines()
+        return [line.split("seconds")[1] for line in found if line.startswith("phm_gcs_agent_age_seconds{")]
+
+    fleet.wait(60.0)
+    assert ages() == ['{agent="A05"} 60.0']
+    fleet.receive(phm_heartbeat(6), tunnel_frame(6, SwarmDigest(3, 2, {6: Level.OK, 7: Level.WARN})))
+    assert ages() == ['{agent="A05"} 60.0', '{agent="A06"} 0.0', '{agent="A07"} 0.0']
+    fleet.receive(phm_heartbeat(5))
+    assert ages()[0] == '{agent="A05"} 0.0'
 
 
 def test_pauses_of_the_heartbeats_are_counted() -> None:

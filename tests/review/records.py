@@ -177,11 +177,12 @@ class Ground:
     """A record of the ground, with its true clock."""
 
     def __init__(self, path: Path, run: str = "ground01") -> None:
-        self.path, self.run, self.lines = path, run, list[bytes]()
+        self.path, self.run, self.lines, self.number = path, run, list[bytes](), 0
 
     def event(self, seconds: float, kind: str, /, **body: Any) -> None:
         at = Stamp(T0 + seconds, 9000.0 + seconds)
-        self.lines.append(encode(GcsEvent(at, kind, body), self.run, len(self.lines) + 1))
+        self.number += kind not in ("snapshot", "received", "samples")  # these have the number of the event before
+        self.lines.append(encode(GcsEvent(at, kind, body), self.run, self.number))
 
     def text(self, seconds: float, agent: int, slot: int, brief: str, word: str = "FAIL") -> None:
         keys = {"system": agent, "component": 193, "link": "gcs", "severity": 2, "severity_name": "CRITICAL"}

@@ -86,7 +86,7 @@ def test_one_flight_is_chosen_by_its_number(tmp_path: Path) -> None:
     made = report(tmp_path, flight=1)
     assert [fault["unit"] for fault in made["faults"]] == ["nodes/node_1"]
     assert (made["window"]["begin"], made["window"]["end"]) == (T0 + 98, T0 + 302)
-    assert made["sentences"][0].startswith("Flight 1 lasted 3 min 24 s")
+    assert made["sentences"][0].startswith("Flight 1 lasted 3 min 20 s, from 2026-03-01 12:01:40 to 12:05:00 UTC, ")
     with pytest.raises(document.NoFlight, match=r"flight 2 is not in the record: it has flights 1 \(3 min 20 s\)"):
         report(tmp_path, flight=2)
 

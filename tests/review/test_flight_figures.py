@@ -123,3 +123,38 @@ def test_the_most_memory_is_kept_whichever_sample_has_it() -> None:
         for number in range(MOST + 1):
             cost.add(number * 20.0, number * 1.0, number * 100, 999 if number == peak else 5)
         assert len(cost.samples) <= MOST and cost.memory(0.0, 1e9) == 999, peak
+
+
+def test_a_flight_has_the_versions_and_runs_that_were_in_it(tmp_path: Path) -> None:
+    """PHM was updated between two flights."""
+    for number in range(2):
+        with flown(tmp_path, boot=f"boot000{number}", start=1000.0 * number) as made:
+            made.arm(True)
+            made.until(1000.0 * number + 100)
+            made.arm(False)
+            made.until(1000.0 * number + 200)
+    log = tmp_path / "phm.jsonl"
+    lines = log.read_text().splitlines(keepends=True)
+    starts = [place for place, line in enumerate(lines) if '"event":"start"' in line]
+    lines[starts[0]] = json.dumps({**json.loads(lines[starts[0]]), "version": "0.0.1"}) + "\n"
+    log.write_text("".join(lines))
+    new = json.loads(lines[starts[1]])["version"]
+    found = [report(tmp_path, flight=flight)["agents"][0] for flight in (1, 2, None)]
+    assert [row["versions"] for row in found] == [["0.0.1"], [new], ["0.0.1", new]]
+    assert [[run["boot_id"][-1] for run in row["runs"]] for row in found] == [["0"], ["1"], ["0", "1"]]
+
+
+@pytest.mark.parametrize("armed", [False, True])
+@pytest.mark.parametrize(("boots", "known"), [(("m1", "m2"), True), (("m1", "m1"), False), (("m1", ""), False)])
+def test_the_time_in_which_the_computer_was_off_is_not_one_in_which_phm_did_not_run(
+    tmp_path: Path, armed: bool, boots: tuple[str, str], known: bool
+) -> None:
+    """Only between two known starts of the machine, and not in flight: then the computer was lost."""
+    for number, machine_boot in enumerate(boots):
+        start = 1000.0 * number
+        with flown(tmp_path, boot=f"boot000{number}", start=start, machine_boot=machine_boot) as made:
+            made.arm(armed and number == 0)
+            made.until(start + 100)
+    (agent,) = report(tmp_path)["agents"]
+    assert agent["uptime"] == (1.0 if known and not armed else pytest.approx(200 / 1100, abs=1e-5))
+    assert agent["down"] == [[T0 + 100, T0 + 1000]]

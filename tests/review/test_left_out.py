@@ -216,3 +216,24 @@ def test_runs_that_do_not_fit_when_pieces_are_merged_are_named(monkeypatch: pyte
     assert {what: count for (what, _), (count, _) in first.problems.found.items()} == {
         "more runs of PHM than a report takes": 4
     }
+
+
+def test_lines_that_the_record_of_the_ground_lacks_are_counted(tmp_path: Path) -> None:
+    """An event `lost` counts 10 lines, and has the number of the last one; 3 more are in no file, of which no line says anything."""
+    ground = Ground(tmp_path / "ground.jsonl")
+    ground.event(0, "slots", agent=7, name="A07", slots={"6": "OK"})
+    ground.number += 9
+    ground.event(30, "lost", lines=10, reason="disk full")
+    ground.event(40, "snapshot")
+    ground.number += 3
+    ground.event(60, "slots", agent=7, name="A07", slots={"6": "WARN"})
+    ground.event(80, "snapshot")
+    made = report(ground.close())
+    (row,) = made["files"]["grounds"]
+    assert (row["lost_lines"], row["missing_lines"], row["left_out"]) == (10, 3, 0)
+    table = next(table for table in tables.tables(made) if table[0] == "Not in this report")
+    assert table[2] == [
+        ("ground", "lines that PHM could not write", "10"),
+        ("ground", "lines that are missing in the logs", "3"),
+    ]
+    assert made["sentences"][4] == "Before the next flight, check the disks: 13 lines of the logs are missing."

@@ -10,6 +10,7 @@ import pytest
 
 from phm.core.model import Level, Transition
 from phm.review import table_rows
+from tests.review import raw
 from tests.review.records import T0, Flown, Ground, report
 
 UNIT = "rates/topic_1"
@@ -165,3 +166,14 @@ def test_a_log_that_begins_while_a_unit_is_blocked_has_its_cause(tmp_path: Path)
     change = next(place for place, line in enumerate(lines) if b'"blocked_by":"nodes/node_1"' in line)
     path.write_bytes(b"".join(lines[change + 1 :]))
     assert unknown(tmp_path) == [(80.0, 0.0)]
+
+
+def test_a_unit_that_is_never_known_does_not_hide_that_others_were_ok(tmp_path: Path) -> None:
+    """The availability of an agent and a layer is that of the units that are known."""
+    reports = [raw.unit(at, *one) for at in range(0, 1001, 20) for one in (("nodes/n1",), (UNIT, "STALE"))]
+    failure = [raw.change(105, "nodes/n1", "OK", "ERROR"), raw.change(109, "nodes/n1", "ERROR", "OK")]
+    events = sorted([*reports, *failure], key=lambda event: float(event["at"]))
+    rows = {row["kind"]: row for row in report(raw.write(tmp_path, events))["availability"]}
+    for kind in ("agent", "layer", "node"):
+        assert (rows[kind]["availability"], rows[kind]["error_s"], rows[kind]["unknown_s"]) == (0.996, 4.0, 0.0), kind
+    assert (rows["topic"]["availability"], rows["topic"]["unknown_s"]) == (None, 1000.0)

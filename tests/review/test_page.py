@@ -66,6 +66,19 @@ def test_the_page_knows_a_plot_for_each_measurement_of_the_record(tmp_path: Path
     assert groups == list(GROUPS) and len({key for key, _, _ in groups}) == len(groups)
 
 
+def test_a_record_of_several_days_has_dates_and_no_lines_over_the_nights(tmp_path: Path) -> None:
+    """Two runs, two days apart; within a run and within a day nothing changes."""
+    for number, day_s in enumerate((0.0, 2 * 86400.0)):
+        made = Flown(tmp_path, boot=f"boot000{number}", start=day_s)
+        made.until(day_s + 100)
+        made.close()
+        data = data_of(page.render(report(tmp_path)))
+        times, values = next(plot["points"] for plot in data["plots"] if plot["agent"] == "agent_1")
+        assert (data["dated"], values.count(None), times) == (number > 0, number, sorted(times))
+    before, after = values[: values.index(None)], values[values.index(None) + 1 :]
+    assert len(before) > 1 and len(after) > 1 and 200 < times[len(before)] < 2 * 86400
+
+
 def test_faults_that_are_not_listed_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The page has a limit, and says what other outputs have all."""
     monkeypatch.setattr(page, "MOST_FAULTS", 2)

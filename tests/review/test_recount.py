@@ -81,7 +81,7 @@ def test_a_fault_that_is_open_over_two_flights_counts_in_the_one_in_which_it_ope
     assert [len(each["faults"]) for each in (first, second)] == [1, 1]
     assert [sum(row["faults"] for row in each["checks"]) for each in (first, second)] == [1, 0]
     assert [each["agents"][0]["faults"] for each in (first, second)] == [1, 0]
-    assert second["sentences"][1] == "There was no fault."
+    assert second["sentences"][1] == "No fault opened."
 
 
 def over_the_landing(folder: Path) -> None:
@@ -99,8 +99,10 @@ def over_the_landing(folder: Path) -> None:
     opened = next(line for line in lines if line["event"] == "fault_opened")
     ended = {"event": "fault_closed", "outcome": "resolved", "by": "restart", "duration_s": 80.0}
     times = {"seq": lines[-1]["seq"] + 1, "mono": opened["mono"] + 80, "utc_s": opened["utc_s"] + 80}
+    failed = next(line for line in lines if line["event"] == "transition" and line["level"] == "ERROR")
     with log.open("a") as file:
         file.write(json.dumps({**opened, **times, **ended}) + "\n")
+        file.write(json.dumps({**failed, **times, "seq": times["seq"] + 1, "old": "ERROR", "level": "OK"}) + "\n")
 
 
 def test_a_fault_that_ended_after_the_flight_was_open_at_its_end(tmp_path: Path) -> None:

@@ -40,6 +40,7 @@ def said(summary: str, brief: str = "ros_app exited") -> str:
         "agent": "agent_1",
         "unit": "container/ros_app",
         "outcome": "escalated",
+        "ok_again": None,
         "summary": summary,
         "brief": brief,
     }

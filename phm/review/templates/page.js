@@ -7,7 +7,7 @@ const $ = (id) => document.getElementById(id);
 const element = (tag, text, kind) => { const made = document.createElement(tag); if (text !== undefined) made.textContent = text; if (kind) made.className = kind; return made; };
 const pad = (n, w = 2) => String(Math.floor(n)).padStart(w, "0");
 const whole = Math.max(span.duration_s, 1);
-const clock = (s, digits = 0) => { const d = new Date((span.begin + s) * 1000); return isNaN(d) ? "?" : d.toISOString().slice(11, digits ? 23 : 19); };
+const clock = (s, digits = 0) => { const d = new Date((span.begin + s) * 1000); return isNaN(d) ? "?" : d.toISOString().slice(data.dated ? 0 : 11, digits ? 23 : 19).replace("T", " "); };
 const long = (s) => s < 60 ? `${s.toFixed(1)} s` : s < 3600 ? `${Math.floor(s / 60)} min ${pad(s % 60)} s` : `${Math.floor(s / 3600)} h ${pad(s % 3600 / 60)} min`;
 
 // ---- timeline
@@ -40,7 +40,7 @@ const colour = (level) => colours[{ OK: "ok", WARN: "warn", ERROR: "error", STAL
 let hatch;
 function hatched() { const tile = document.createElement("canvas"); tile.width = tile.height = 6; const p = tile.getContext("2d"); p.strokeStyle = colours.off; p.lineWidth = 1.5; p.beginPath(); p.moveTo(0, 6); p.lineTo(6, 0); p.stroke(); return pen.createPattern(tile, "repeat"); }
 function ticks(width) {
-  const step = [1, 2, 5, 10, 30, 60, 120, 300, 600, 1800, 3600, 7200, 21600, 86400].find((one) => (to - from) / one <= width / 130) || (to - from) / 8;
+  const step = [1, 2, 5, 10, 30, 60, 120, 300, 600, 1800, 3600, 7200, 21600, 86400].find((one) => (to - from) / one <= width / (data.dated ? 180 : 130)) || (to - from) / 8;
   const first = Math.ceil((span.begin + from) / step) * step - span.begin, found = [];
   for (let s = first; s <= to; s += step) found.push(s);
   return found;
@@ -224,11 +224,12 @@ function drawPlot(title, key, lines) {
   const box = element("div", undefined, "plot"), hue = (place) => `hsl(${Math.round(place * 137.5) % 360} 60% 48%)`;
   box.append(element("h3", title)); $("plots").append(box);
   const named = (plot) => [choice.value === "all agents" ? plot.agent : "", plot.name.replace(/^ground /, "").split(" ")[0], value(plot) === key ? "" : value(plot)].filter(Boolean).join(" ");
-  const joined = uPlot.join(lines.map((plot) => [plot.points[0].map((s) => s + span.begin), plot.points[1]]));
-  const series = [{ value: (_, v) => v === null ? "-" : clock(v - span.begin) }, ...lines.map((plot, place) => ({ label: named(plot), stroke: hue(place), width: 1.3, spanGaps: true, points: { show: false } }))];
+  // 2: a null ends the line also between the times of other lines.
+  const joined = uPlot.join(lines.map((plot) => [plot.points[0].map((s) => s + span.begin), plot.points[1]]), lines.map(() => [0, 2]));
+  const series = [{ value: (_, v) => v === null ? "-" : clock(v - span.begin) }, ...lines.map((plot, place) => ({ label: named(plot), stroke: hue(place), width: 1.3, spanGaps: false, points: { show: false } }))];
   const axis = { stroke: colours.dim, grid: { stroke: colours.line, width: 1 }, ticks: { stroke: colours.line } };
   const scales = { x: { min: from + span.begin, max: to + span.begin } };
-  shown.push(new uPlot({ width: Math.max(280, box.clientWidth - 14), height: 190, series, scales, tzDate: (t) => uPlot.tzDate(new Date(t * 1000), "Etc/UTC"), axes: [{ ...axis, space: 90, values: (_, all) => all.map((t) => clock(t - span.begin)) }, { ...axis, size: 58 }], legend: { show: lines.length <= 12 }, cursor: { sync: { key: "t" } } }, joined, box));
+  shown.push(new uPlot({ width: Math.max(280, box.clientWidth - 14), height: 190, series, scales, tzDate: (t) => uPlot.tzDate(new Date(t * 1000), "Etc/UTC"), axes: [{ ...axis, space: data.dated ? 150 : 90, values: (_, all) => all.map((t) => clock(t - span.begin)) }, { ...axis, size: 58 }], legend: { show: lines.length <= 12 }, cursor: { sync: { key: "t" } } }, joined, box));
 }
 
 palette(); draw(); fill(); fillPlots();
