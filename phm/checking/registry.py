@@ -58,7 +58,7 @@ def _load(point: EntryPoint, base: type) -> Plugin:
         return failed(f"module {point.module!r} cannot be imported: {error}: install its package again")
     except AttributeError:
         return failed(f"module {point.module!r} has no {point.attr!r}: correct the entry point")
-    except (Exception, SystemExit) as error:  # the plug-in's own code runs here; any exception is a problem of the plug-in
+    except (Exception, SystemExit) as error:  # the plug-in's own code: whatever it raises is a problem of the plug-in
         return failed(f"importing {point.value!r} failed: {type(error).__name__}: {error}")
     if not (isinstance(loaded, type) and issubclass(loaded, base)):
         return failed(f"{point.value!r} is not a subclass of {base.__module__}.{base.__name__}")

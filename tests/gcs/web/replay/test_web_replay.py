@@ -107,7 +107,8 @@ def test_a_jump_shows_the_state_of_that_moment(client: Client, live: Live) -> No
 
 def test_a_replay_runs_at_any_speed_and_stops_at_the_end(client: Client, live: Live) -> None:
     """With the events of the record, at their own times."""
-    client.post("/api/replay", {"do": "pause"})  # else it may have ended before the last request, which then begins again
+    # Else it may have ended before the last request, which then begins again.
+    client.post("/api/replay", {"do": "pause"})
     client.post("/api/replay", {"do": "speed", "speed": 1000})
     client.post("/api/replay", {"do": "play"})
     until(lambda: [event for event in live.events() if event["event"] == "end"], "the last event")
