@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from phm.review import document, lines as lines_module, record, record_reader
 from phm.review.events import parse
@@ -133,7 +133,7 @@ def test_a_compressed_log_is_read_up_to_a_size(tmp_path: Path, monkeypatch: pyte
     assert read < 1_000_000 and "unpacks to more than 100 times its size" in what
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.lists(LINE, max_size=12))
 def test_no_content_of_a_record_stops_the_report(events: list[dict[str, object]]) -> None:
     """Whatever the lines say, there is a document, and it is JSON."""
@@ -145,7 +145,7 @@ def test_no_content_of_a_record_stops_the_report(events: list[dict[str, object]]
     json.dumps(document.build(record.build(part)), allow_nan=False)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.lists(st.binary(max_size=30).map(lambda line: line.replace(b"\n", b"")), max_size=40), st.integers(1, 200))
 def test_each_line_is_in_exactly_one_piece(tmp_path_factory: object, content: list[bytes], size: int) -> None:
     """However a file is divided, its lines are read once and in order."""
