@@ -193,7 +193,7 @@ class Mailbox(StreamRequestHandler):
 
 
 def test_an_email_shows_text_from_outside_as_it_is() -> None:
-    """A health check's output is no HTML: it makes no link, and what is between angle brackets is not lost."""
+    """A health check's output is not HTML: it makes no link, and what is between angle brackets is not lost."""
     with ThreadingTCPServer(("127.0.0.1", 0), Mailbox) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         url = f"mailto://127.0.0.1:{server.server_address[1]}?from=a@example.org&to=b@example.org&mode=insecure"

@@ -1,4 +1,4 @@
-"""What is reported while an action on a container is under way, although it is no consequence of a fault that is being recovered."""
+"""What is reported while an action on a container is under way, although it does not follow from a fault that is being recovered."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def begin(bench: Bench, owner: str, action: str = "restart") -> None:
 
 @pytest.mark.parametrize(("name", "condition"), [("devices/app", "device_missing"), ("network/app", "network_missing")])
 @pytest.mark.parametrize("owner", ["nodes/n", "container/app"])
-def test_what_comes_from_outside_of_the_container_is_no_consequence_of_an_action(
+def test_what_comes_from_outside_of_the_container_does_not_follow_from_an_action(
     bench: Bench, owner: str, name: str, condition: str
 ) -> None:
     """No action unplugs a device or removes a network, and its verification may last a minute."""
