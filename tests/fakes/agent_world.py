@@ -36,7 +36,7 @@ from phm.core.model import Event, Evidence, FaultClosed, FaultOpened, Level, Res
 from phm.core.settings import Settings
 from phm.facts import ContainerFact
 from phm.tracker import GRACE_ENDS_AFTER_OK_S, Effects, Tracker
-from phm.tracker.rules import DETACHED, RECONNECTS
+from phm.tracker.rules import DETACHED, FROM_OUTSIDE, RECONNECTS
 from phm.tracker.starvation import UNREAD_S
 from phm_checks.container import WITHOUT_ENGINE_S
 
@@ -472,8 +472,9 @@ class Sim:
         assert event.fault.result.level is Level.ERROR
         result, action = event.fault.result, self.tracker.action_on(TARGET)
         detached = result.condition == DETACHED and result.evidence.conclusive and action != RECONNECTS
+        separate = detached or result.condition in FROM_OUTSIDE
         held = self.held and self.now < self.held_until
-        assert not held or unit not in self.touched or detached, f"{unit} reported during an action"
+        assert not held or unit not in self.touched or separate, f"{unit} reported during an action"
         assert since == 0.0 or self.tracker.last_started(unit) >= since, f"{unit} reported by old evidence"
         assert self.now - since >= grace_s or self.sure.get(unit, -1.0) >= since, f"{unit} reported within its grace"
 
