@@ -472,9 +472,8 @@ class Sim:
         assert event.fault.result.level is Level.ERROR
         result, action = event.fault.result, self.tracker.action_on(TARGET)
         detached = result.condition == DETACHED and result.evidence.conclusive and action != RECONNECTS
-        separate = detached or result.condition in FROM_OUTSIDE
-        held = self.held and self.now < self.held_until
-        assert not held or unit not in self.touched or separate, f"{unit} reported during an action"
+        held = self.held and self.now < self.held_until and result.condition not in FROM_OUTSIDE
+        assert not held or unit not in self.touched or detached, f"{unit} reported during an action"
         assert since == 0.0 or self.tracker.last_started(unit) >= since, f"{unit} reported by old evidence"
         assert self.now - since >= grace_s or self.sure.get(unit, -1.0) >= since, f"{unit} reported within its grace"
 
