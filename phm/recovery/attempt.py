@@ -40,7 +40,6 @@ HUNG_S = 600.0
 its target."""
 READS = frozenset(
     {
-        "ping",
         "version",
         "list",
         "running",

@@ -47,7 +47,7 @@ NEEDED = {
     "put_file",
     "set_cpu_shares",
 }
-REFUSED = {"ping", "list", "stop", "pause", "kill", "fetch_file", "create_from_image", "remove", "copy_with_stat"}
+REFUSED = {"list", "stop", "pause", "kill", "fetch_file", "create_from_image", "remove", "copy_with_stat"}
 """Used by tests and the simulation, for labels, or by `restore: image`."""
 
 

@@ -59,7 +59,7 @@ def test_a_start_has_worked_in_flight_although_a_node_is_not_back(agent: InFligh
     agent.containers.end("app")
     agent.pipeline.container_ended("app")
     agent.bad["container/app"], agent.found["nodes/app"] = "exited", stale("not running")
-    agent.rest(25.0)
+    agent.until(lambda: agent.acted(Phase.ADVISED), "the advice")
     assert agent.opened() == ["container/app", "nodes/app"]
     assert agent.acted() == ["start"]
     assert agent.acted(Phase.VERIFIED) == ["start"]
@@ -73,5 +73,5 @@ def test_on_the_ground_the_next_step_follows(agent: InFlight) -> None:
     agent.containers.end("app")
     agent.pipeline.container_ended("app")
     agent.bad["container/app"], agent.found["nodes/app"] = "exited", stale("not running")
-    agent.rest(16.0)
+    agent.until(lambda: len(agent.acted()) > 1, "the next step")
     assert agent.acted() == ["start", "restart"]
