@@ -18,6 +18,8 @@ from phm.gcs.events import SEVERITIES, GcsEvent, severity_name
 from phm.gcs.fleet import MAX_AGENTS
 from phm.gcs.presence import PresenceState
 from phm.gcs.subscriber_queue import QueuedEvent, SubscriberQueue
+from phm.swarm.peers import LOST_PERIODS
+from phm.transport.priority import default_periods
 from phm.wire.command import CommandResult
 from phm.wire.metrics_page import Labels, MetricsPage, ratio
 
@@ -100,12 +102,15 @@ class GroundMetrics:
         return page
 
     def _await(self, event: GcsEvent) -> dict[str, float]:
-        """For how long the ground has waited for agents that it never received, by name: expected ones since its start."""
-        now = event.at.mono
-        never = [agent["name"] for agent in event.body["agents"] if agent["presence"] == PresenceState.NEVER.value]
+        """For how long the ground has waited for agents that it never received, by name: expected ones since its start. Without those
+        that may not have sent a heartbeat yet: in a large swarm they are rare."""
+        now, agents = event.at.mono, event.body["agents"]
+        never = [agent["name"] for agent in agents if agent["presence"] == PresenceState.NEVER.value]
         with self._counts.guard:
             self._awaited_from = {name: self._awaited_from.get(name, now) for name in never}
-            return {name: max(0.0, now - since) for name, since in self._awaited_from.items()}
+            awaited_s = {name: max(0.0, now - since) for name, since in self._awaited_from.items()}
+        early_s = LOST_PERIODS * default_periods(len(agents))[0]
+        return {name: waited_s for name, waited_s in awaited_s.items() if waited_s > early_s}
 
 
 def _not_yet(page: MetricsPage, agents: Iterable[Mapping[str, Any]]) -> None:

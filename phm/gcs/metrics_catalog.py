@@ -14,7 +14,7 @@ PRESENT = _gauge(
 )
 AGE = _gauge(
     "phm_gcs_agent_age_seconds",
-    "Seconds since the last heartbeat of an agent, or since the ground waits for the first; missing if left",
+    "Seconds since the last heartbeat of an agent, or since the ground waits for the first; missing if left, or if the first may be on its way",
     "agent",
 )
 PERIOD = _gauge("phm_gcs_agent_period_seconds", "Usual seconds between two heartbeats of an agent", "agent")

@@ -48,8 +48,8 @@ class ReporterManager:
     def problems(self) -> list[str]:
         """What each reporter cannot do at the moment, also that it cannot be asked."""
         asked = ((each, self._ask(each, each.problem)) for each in self._reporters)
-        found = [problem if isinstance(problem, str) else _WRONG.format(each.name, problem) for each, problem in asked]
-        return [problem for problem in found if problem]
+        found = [(each, problem) for each, problem in asked if problem]
+        return [problem if isinstance(problem, str) else _WRONG.format(each.name, problem) for each, problem in found]
 
     def reports(self) -> dict[str, dict[str, Any]]:
         """Reports by name, without empty ones and those that are no JSON."""

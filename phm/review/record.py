@@ -255,9 +255,10 @@ def _armed(agent: AgentRecord, grounds: list[tuple[GroundRun, RunClock]]) -> Non
 
 def _armed_by_ground(system: int, grounds: list[tuple[GroundRun, RunClock]]) -> list[Span]:
     """A period ends with the last heartbeat before the autopilot was lost, or with the run of the ground, unless the next heartbeat
-    that was received is armed, too."""
+    that was received is armed, too, and no other ground received a disarming in between."""
     spans: list[Span] = []
     broken = False  # the last one ended without a disarming
+    off = [clock.t(mono) for ground, clock in grounds for mono, which, on in ground.armed if which == system and not on]
     for ground, clock in sorted(
         grounds, key=lambda one: one[1].t(one[0].cover.spans[0][0]) if one[0].cover.spans else 0.0
     ):
@@ -269,7 +270,8 @@ def _armed_by_ground(system: int, grounds: list[tuple[GroundRun, RunClock]]) -> 
         for mono, armed, age_s in sorted(said, key=lambda one: one[0]):
             t = clock.t(mono - age_s)
             if armed and since is None:
-                since = spans.pop()[0] if broken and t >= spans[-1][1] else t
+                goes_on = broken and spans[-1][1] <= t and not any(spans[-1][1] < other < t for other in off)
+                since = spans.pop()[0] if goes_on else t
             elif not armed and since is not None:
                 spans.append([since, max(since, t)])
                 since = None

@@ -107,9 +107,21 @@ def test_an_expected_agent_that_never_comes_has_an_age() -> None:
     fleet.wait(60.0)
     assert ages() == ['{agent="A05"} 60.0']
     fleet.receive(phm_heartbeat(6), tunnel_frame(6, SwarmDigest(3, 2, {6: Level.OK, 7: Level.WARN})))
-    assert ages() == ['{agent="A05"} 60.0', '{agent="A06"} 0.0', '{agent="A07"} 0.0']
+    assert ages() == ['{agent="A05"} 60.0', '{agent="A06"} 0.0']
+    fleet.wait(60.0)
+    assert ages() == ['{agent="A05"} 120.0', '{agent="A06"} 60.0', '{agent="A07"} 60.0']
     fleet.receive(phm_heartbeat(5))
     assert ages()[0] == '{agent="A05"} 0.0'
+
+
+def test_an_expected_agent_of_a_large_swarm_may_be_late_with_its_first_heartbeat() -> None:
+    """With 128 agents each sends one in 40 s: an alert would be wrong for half of them."""
+    fleet = Fleet(expected=range(1, 129))
+    metrics = GroundMetrics(Station(fleet), FakeClock())
+    fleet.wait(60.0)
+    assert b"phm_gcs_agent_age_seconds{" not in MetricsText(metrics.page).render("text/plain")[0]
+    fleet.wait(150.0)
+    assert b'phm_gcs_agent_age_seconds{agent="A50"} 210.0' in MetricsText(metrics.page).render("text/plain")[0]
 
 
 def test_pauses_of_the_heartbeats_are_counted() -> None:

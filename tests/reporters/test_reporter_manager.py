@@ -103,6 +103,13 @@ class Unanswering(Plain):
         return {("no", "key", "of JSON"): 1}  # type: ignore[dict-item]
 
 
+class Silent(Plain):
+    name = "silent"
+
+    def problem(self) -> str:
+        return None  # type: ignore[return-value]
+
+
 class Odd(Plain):
     name = "odd"
 
@@ -117,7 +124,7 @@ def test_a_reporter_that_cannot_be_asked_is_a_problem_and_hides_no_other(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Its state is asked for where a missing autopilot is reported, and for the status file."""
-    found = [Plugin(kind.name, "test 1.0", kind) for kind in (Unanswering, Odd, Plain)]
+    found = [Plugin(kind.name, "test 1.0", kind) for kind in (Unanswering, Odd, Silent, Plain)]
     monkeypatch.setattr(registry, "find", lambda group, base: found)
     bus = Bus(SystemClock())
     reporters = ReporterManager(bus)
@@ -127,6 +134,6 @@ def test_a_reporter_that_cannot_be_asked_is_a_problem_and_hides_no_other(
         first, second, third = reporters.problems()
         assert "unanswering" in first and "destination" in first
         assert "odd" in second and third == "plain has a problem"
-        assert reporters.reports() == {"plain": {"sent": 3}}
+        assert reporters.reports() == {"silent": {"sent": 3}, "plain": {"sent": 3}}
     assert len(caplog.records) == 2, "each is logged once"
     bus.close()

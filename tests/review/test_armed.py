@@ -82,3 +82,10 @@ def test_an_armed_period_ends_with_the_last_entry_of_a_file_of_others() -> None:
         part.others.append(entry)
     (agent,) = document.build(record.build(part))["agents"]
     assert [[begin - T0, end - T0] for begin, end in agent["armed"]] == [[100, 160], [DAY_S + 100, DAY_S + 200]]
+
+
+def test_a_disarming_that_only_another_ground_received_ends_the_period(tmp_path: Path) -> None:
+    """The vehicle was out of range of one ground meanwhile."""
+    ground(tmp_path, "g1", 0, 600, [(1, False), (60, True), (200, "lost"), (400, True), (450, False)])
+    ground(tmp_path, "g2", 10, 600, [(11, False), (60, True), (250, False), (400, True), (450, False)])
+    assert armed(tmp_path) == [[60, 250], [400, 450]]

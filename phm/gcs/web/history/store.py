@@ -276,6 +276,7 @@ class HistoryStore:
             forgotten = connection.execute(UNUSED).rowcount
         if forgotten:
             self._load_series(connection)
+            self._skipped = 0
 
     def _size(self, connection: sqlite3.Connection) -> int:
         pages = (

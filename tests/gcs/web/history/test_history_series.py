@@ -62,6 +62,7 @@ def test_names_whose_samples_are_too_old_make_room(store: HistoryStore, monkeypa
 
     until(kept, "the sample of the new name")
     assert names(store) == ["A07"]
+    until(lambda: not store.problem(), "the end of the problem")
     store.close()
 
 
