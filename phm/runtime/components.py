@@ -198,7 +198,9 @@ class Components:
         started again after a later join. Never raises."""
         left = join_all_networks(self.settings.containers, self.action_context, self.pipeline.note, ros_runs=False)
         start_ros()
-        join_all_networks(left, self.action_context, self.pipeline.note, ros_runs=True)
+        for _ in self.settings.containers:  # as often as each would be asked once
+            if left:
+                left = join_all_networks(left, self.action_context, self.pipeline.note, ros_runs=True)
 
     # ------------------------------------------------------------ what flows back
 

@@ -28,7 +28,8 @@ DETACHED, RECONNECTS = "disconnected", "reconnect"
 """The condition of a container that is not on its network, known from the Docker Engine if the evidence is conclusive,
 and the action that takes a container off its networks for a moment."""
 FROM_OUTSIDE = frozenset({"network_missing", "device_missing"})
-"""Conditions that come from outside of every container: no action on one causes them."""
+"""Conditions that come from outside of every container: no action on one causes them, except that a program may reset its device when it
+starts, which is a fault at any start."""
 LEAVE_RUNNING = frozenset({RECONNECTS, "join_network"})
 """Actions that end no process of the target, unless `reconnect` restarts it afterwards: then its stop is reported first."""
 GRACE_ENDS_AFTER_OK_S = 2.5

@@ -292,6 +292,8 @@ def test_ros_does_not_wait_for_a_hung_engine_for_each_container(
         raise EngineTimeout("no answer within 5 s")
 
     def join(container: ContainerSettings, context: object) -> str:
+        if did[-1] == "start ROS":
+            return hang(container, context)
         did.append(f"join {container.key} again")
         return ""
 
@@ -299,5 +301,5 @@ def test_ros_does_not_wait_for_a_hung_engine_for_each_container(
     monkeypatch.setattr("phm.runtime.network_join.rejoin_networks", join, raising=False)
     monkeypatch.setattr(type(daemon.components.probes), "start_ros", lambda probes: did.append("start ROS"))
     daemon._join_networks()
-    assert did == ["join app0", "start ROS", "join app0 again", "join app1 again", "join app2 again"]
+    assert did == ["join app0", "start ROS", "join app0", "join app0 again", "join app1 again", "join app2 again"]
     daemon.stop()
