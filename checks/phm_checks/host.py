@@ -45,6 +45,8 @@ class Host(api.Check):
         self._step: tuple[float, float] | None = None
         self._first_set = False
         self._synchronized: bool | None = None
+        self._was_synchronized = False
+        """Whether it was in any reading."""
         self._window_s = settings.pressure.host_window
         self._memory_stalls = HostPressure(settings.pressure.host_memory, self._window_s)
         self._io_limit = settings.pressure.host_io
@@ -228,11 +230,12 @@ class Host(api.Check):
         mentioned: in the field there is often none."""
         if abs(fact.clock_step_s) > self._limits.clock_step:
             # Monotonic time begins at boot.
-            young = now < FIRST_SET_S and not self._synchronized
             found = self._synchronized is False and fact.clock_synchronized is True
-            self._first_set = self._step is None and fact.clock_step_s > 0 and (young or found)
+            first = self._step is None and not self._was_synchronized
+            self._first_set = first and fact.clock_step_s > 0 and (now < FIRST_SET_S or found)
             self._step = (now, fact.clock_step_s)
         self._synchronized = fact.clock_synchronized
+        self._was_synchronized |= fact.clock_synchronized is True
         values: dict[str, api.Value] = {
             "clock_synchronized": fact.clock_synchronized,
             "clock_step_s": round(fact.clock_step_s, 3),

@@ -39,7 +39,9 @@ STRAY_S = 10.0
 OTHERS_S = 3.0
 """A subscription that its node may not need any more must be lost for longer than the age of the users of topics that are not configured:
 those are read every two seconds (`phm.probes.ros.unconfigured_topics`)."""
-STATEMENTS = ("/diagnostics",)
+MANY = 190
+"""With so many topics that are not configured, some may be missing in the snapshot, those that are used first."""
+STATEMENTS = ("/diagnostics", "/events/write_split")
 """Topics about the publisher itself: who reads them does not use its output."""
 BETWEEN = ("qos_mismatch", "type_wrong")
 """Conditions about existing endpoints; a missing endpoint does not cause them."""
@@ -400,9 +402,18 @@ class Topics(api.Check):
 
 
 def _use_of_output(node: str, fact: api.RosFact) -> _Use:
-    configured = [topic for topic in fact.topics.values() if any(end.node == node for end in topic.publishers)]
-    others = [topic for name, topic in fact.others.items() if node in topic.publishers and name not in STATEMENTS]
-    if any(end.node != node for topic in configured for end in topic.subscribers) or not (configured or others):
+    statements = (*STATEMENTS, f"{node}/transition_event")  # each lifecycle node has the latter
+    configured = [
+        topic
+        for name, topic in fact.topics.items()
+        if name not in statements and any(end.node == node for end in topic.publishers)
+    ]
+    others = [topic for name, topic in fact.others.items() if node in topic.publishers and name not in statements]
+    if (
+        len(fact.others) >= MANY
+        or any(end.node != node for topic in configured for end in topic.subscribers)
+        or not (configured or others)
+    ):
         return _Use.OTHER
     return _Use.OLD if any(user != node for topic in others for user in topic.subscribers) else _Use.NONE
 

@@ -165,6 +165,15 @@ def test_a_clock_step_is_reported_for_a_limited_time() -> None:
     assert bench.observe("clock").level is api.Level.OK
 
 
+def test_a_time_source_that_returns_is_not_the_first() -> None:
+    """It was synchronized before, so earlier time stamps are right."""
+    bench = Bench()
+    bench.clock = testing.FakeClock(mono=2 * FIRST_SET_S)
+    bench.observe("clock", clock_synchronized=True)
+    bench.observe("clock", clock_synchronized=False)
+    assert bench.observe("clock", clock_step_s=3.0, clock_synchronized=True).condition == "clock_step"
+
+
 @pytest.mark.parametrize(("synchronized", "mono"), [(False, 60.0), (None, 60.0), (False, 2 * FIRST_SET_S)])
 def test_the_first_time_that_is_set_after_boot_is_a_note(synchronized: bool | None, mono: float) -> None:
     """A computer without a battery for its clock has an old time until it has a time source. A second jump is a WARN."""

@@ -55,10 +55,12 @@ def test_a_subscription_that_no_one_needs_now_is_not_known_to_be_lost() -> None:
     ("ros", "settle_s"),
     [
         ({"rect": api.TopicFact(ends(RECTIFY), ends(VIEWER)), "others": {"/a/info": UNUSED}}, None),
+        ({"others": {f"{RECTIFY}/transition_event": UNUSED}}, None),
+        ({"others": {f"/x{number}": UNUSED for number in range(200)}}, None),
         ({"others": {RECT: api.NameFact((RECTIFY,), (VIEWER,)), "/a/info": UNUSED}}, OTHERS_S),
         ({"others": {RECT: api.NameFact((VIEWER,), ())}}, None),
     ],
-    ids=["its output is used", "its output was used", "it publishes nothing"],
+    ids=["its output is used", "a lifecycle node", "many topics", "its output was used", "it publishes nothing"],
 )
 def test_a_subscription_that_is_needed_is_lost(ros: dict[str, Any], settle_s: float | None) -> None:
     """The users of topics that are not configured may be two seconds old: the viewer may have left."""
