@@ -213,7 +213,7 @@ def test_an_email_shows_text_from_outside_as_it_is() -> None:
 def test_a_command_that_hangs_is_killed_with_its_children(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A later alert tries again."""
     pids = tmp_path / "pids"
-    code = f"import os, time; child = os.fork(); open({str(pids)!r}, 'a').write(f'{{os.getpid()}}\\n'); time.sleep(600)"
+    code = f"import os, signal; os.fork(); open({str(pids)!r}, 'a').write(f'{{os.getpid()}}\\n'); signal.pause()"
     command = notify.AlertCommand([sys.executable, "-c", code])
     for limit_s in (2.0, 8.0, 32.0):  # a busy machine may need seconds to start Python
         monkeypatch.setattr(notify, "COMMAND_S", limit_s)

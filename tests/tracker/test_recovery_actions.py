@@ -410,19 +410,18 @@ def test_the_restart_of_a_dependent_takes_no_credit_from_the_action_that_it_is_p
     assert bench.closed == [("other", Outcome.RESOLVED, "restart"), ("container", Outcome.RESOLVED, "start")]
 
 
+OFF_NETWORK = error("not on net", brief="not on net", condition="disconnected").with_evidence(Evidence(conclusive=True))
+ON_NETWORK = [
+    unit("container/app", target="app"),
+    unit("network/app", "container/app", target="app", grace_s=3.0),
+    unit("nodes/n", "container/app", "network/app", target="app", grace_s=8.0),
+]
+
+
 @pytest.mark.parametrize(("action", "opened"), [("restart", ["nodes/n", "network/app"]), ("reconnect", ["nodes/n"])])
 def test_a_detached_network_is_reported_while_its_container_is_restarted(action: str, opened: list[str]) -> None:
     """The engine no longer lists the running container on its network, and a restart for a node does not do that; a reconnection does."""
-    detached = error("not on net", brief="not on net", condition="disconnected").with_evidence(
-        Evidence(conclusive=True)
-    )
-    bench = Bench(
-        [
-            unit("container/app", target="app"),
-            unit("network/app", "container/app", target="app", grace_s=3.0),
-            unit("nodes/n", "container/app", "network/app", target="app", grace_s=8.0),
-        ]
-    )
+    bench = Bench(ON_NETWORK)
     bench.later(10)
     bench.all_healthy()
     bench.see("nodes/n", BAD)
@@ -431,34 +430,29 @@ def test_a_detached_network_is_reported_while_its_container_is_restarted(action:
     bench.take(bench.tracker.begin_action("app", "nodes/n", action, bench.stamp(), 60.0))
     bench.now += 1
     bench.take(bench.tracker.container_started("app", bench.stamp()))
-    bench.see("network/app", detached)
+    bench.see("network/app", OFF_NETWORK)
     assert bench.opened == ["nodes/n"], "it may be connected right after the start"
     bench.later(3.1)
-    for name, result in (("network/app", detached), ("container/app", OK), ("nodes/n", BAD), ("network/app", detached)):
+    for name, result in (
+        ("network/app", OFF_NETWORK),
+        ("container/app", OK),
+        ("nodes/n", BAD),
+        ("network/app", OFF_NETWORK),
+    ):
         bench.see(name, result)
     assert bench.opened == opened
 
 
 def test_a_network_is_detached_although_the_start_of_its_container_is_not_verified_yet() -> None:
     """The container runs, so it explains nothing; and its start does not wait for the network, nor for what needs that."""
-    detached = error("not on net", brief="not on net", condition="disconnected").with_evidence(
-        Evidence(conclusive=True)
-    )
-    bench = Bench(
-        [
-            unit("container/app", target="app"),
-            unit("network/app", "container/app", target="app", grace_s=3.0),
-            unit("nodes/n", "container/app", "network/app", target="app", grace_s=8.0),
-            unit("health/app", "container/app", target="app"),
-        ]
-    )
+    bench = Bench([*ON_NETWORK, unit("health/app", "container/app", target="app")])
     bench.later(10)
     bench.all_healthy()
     bench.see("container/app", BAD)
     bench.take(bench.tracker.begin_action("app", "container/app", "start", bench.stamp(), 60.0, proving=True))
     bench.take(bench.tracker.container_started("app", bench.stamp()))
     bench.later(3.1)
-    results = {"container/app": OK, "network/app": detached, "nodes/n": BAD, "health/app": BAD}
+    results = {"container/app": OK, "network/app": OFF_NETWORK, "nodes/n": BAD, "health/app": BAD}
     for name in (*results, "network/app"):
         bench.see(name, results[name])
     assert bench.opened == ["container/app", "network/app"]
