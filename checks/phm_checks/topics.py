@@ -4,29 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from enum import Enum
 
 from phm import api
 from phm.api import Layer, Level, Slot
 from phm_checks._endpoint_history import EndpointHistory, Key
-from phm_checks._endpoint_matching import (
-    SHOWN,
-    Matching,
-    Pairs,
-    all_ends,
-    full,
-    named_sides,
-    needed_end,
-    same_definition,
-    same_type,
-    sides,
-    some,
-    who,
-)
+from phm_checks._endpoint_matching import SHOWN, full, named_sides
 from phm_checks._graph_gaps import GraphGaps
 from phm_checks._node_activity import all_alive
+from phm_checks._on_demand import OTHERS_S, Use, on_demand, use_of_output
 from phm_checks._similar_names import sentence, similar_names
-from phm_checks._text import brief, clean, did_you_mean, joined, last, listed, span
+from phm_checks._text import did_you_mean, joined, last, listed, span
+from phm_checks._topic_mismatches import TopicMismatches
+from phm_checks._topic_results import numbers, problem, unit_id
 
 OLD_SNAPSHOT_S = 5.0
 """Older snapshots of the graph are not evaluated."""
@@ -36,26 +25,6 @@ SURE_S = 0.2
 """Settle time for a mismatch between existing endpoints of live nodes: a terminating node cannot be its cause."""
 STRAY_S = 10.0
 """A subscription to a similar name may wait for its own publisher, which starts later."""
-OTHERS_S = 3.0
-"""A subscription that its node may not need any more must be lost for longer than the age of the users of topics that are not configured:
-those are read every two seconds (`phm.probes.ros.unconfigured_topics`)."""
-MANY = 190
-"""With so many topics that are not configured, some may be missing in the snapshot, those that are used first."""
-STATEMENTS = ("/diagnostics", "/events/write_split")
-"""Topics about the publisher itself: who reads them does not use its output."""
-BETWEEN = ("qos_mismatch", "type_wrong")
-"""Conditions about existing endpoints; a missing endpoint does not cause them."""
-
-
-class _Use(Enum):
-    """Whether anyone uses what a node publishes, PHM aside."""
-
-    NONE = "none"
-    """It publishes, and no one subscribes: it may have closed its own subscriptions, as image_proc does, until someone does."""
-    OLD = "old"
-    """Someone subscribed when the users of topics that are not configured were read."""
-    OTHER = "other"
-    """Someone subscribes, or it publishes nothing."""
 
 
 class Topics(api.Check):
@@ -78,13 +47,13 @@ class Topics(api.Check):
         self._grace_s = grace_s
         self._homes = dict(homes)
         self._ends = EndpointHistory()
-        self._mismatches: dict[str, api.Result] = {}
+        self._mismatched: dict[str, api.Result] = {}
         """The last mismatch between existing endpoints per topic: kept while one of them is being recreated."""
         self._failed: dict[str, str] = {}
         """The condition of the last result per topic that was not a WARN."""
         self._stray_since: dict[str, float] = {}
         self._gaps = GraphGaps()
-        self._audits: dict[str, tuple[object, Sequence[api.Result]]] = {}
+        self._mismatches = TopicMismatches(self._targets, self._homes)
 
     @classmethod
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
@@ -100,7 +69,7 @@ class Topics(api.Check):
             needs += [f"node_ready/{node}" for node in nodes if node in lifecycle]
             units.append(
                 api.Unit(
-                    _unit(topic),
+                    unit_id(topic),
                     needs=tuple(needs),
                     target=key,
                     settle_s=SETTLE_S,
@@ -125,12 +94,12 @@ class Topics(api.Check):
         try:
             fact = world.ros.snapshot()
         except api.CannotTell as reason:
-            return {_unit(topic): api.stale(str(reason)) for topic in self._topics}
+            return {unit_id(topic): api.stale(str(reason)) for topic in self._topics}
         if fact.age_s > OLD_SNAPSHOT_S:
             words = f"the newest ROS graph snapshot is {span(fact.age_s)} old, too old to evaluate"
-            return {_unit(topic): api.stale(words) for topic in self._topics}
+            return {unit_id(topic): api.stale(words) for topic in self._topics}
         now = world.clock.mono()
-        return {_unit(topic): self._judge(topic, fact, now) for topic in self._topics}
+        return {unit_id(topic): self._judge(topic, fact, now) for topic in self._topics}
 
     def _judge(self, topic: api.TopicSettings, fact: api.RosFact, now: float) -> api.Result:
         """A missing endpoint first, then the worst of: type, QoS, similar name."""
@@ -145,9 +114,9 @@ class Topics(api.Check):
                     f"not seen yet, PHM has observed the graph for only {span(fact.up_s)}: {missing.summary}"
                 )
             self._failed[topic.name] = missing.condition
-            before = self._mismatches.get(topic.name)
+            before = self._mismatched.get(topic.name)
             return before if before is not None and self._ends.being_recreated(full(topic.name), now) else missing
-        self._mismatches.pop(topic.name, None)
+        self._mismatched.pop(topic.name, None)
         result = self._connected(topic, seen, fact, now)
         # Whatever was missing is there; the same condition at a lower level is the same measurement.
         if result.level is Level.WARN and result.condition != self._failed.get(topic.name):
@@ -158,30 +127,18 @@ class Topics(api.Check):
 
     def _connected(self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact, now: float) -> api.Result:
         """The result while no endpoint is missing."""
-        found = [*self._audit(topic, seen), *self._unfed(topic, seen, fact, now)]
+        found = [*self._mismatches.find(topic, seen), *self._unfed(topic, seen, fact, now)]
         if found:
-            worst = _conclusive(api.worst(found))
-            if worst.condition in BETWEEN and all_alive((*seen.publishers, *seen.subscribers), fact):
+            worst = api.worst(found)
+            if worst.evidence.conclusive and all_alive((*seen.publishers, *seen.subscribers), fact):
                 worst = replace(worst, settle_s=SURE_S)
-            self._mismatches[topic.name] = worst
+            self._mismatched[topic.name] = worst
             return worst
         return api.ok(
             f"Topic {api.topic_id(topic.name)} is connected: {_count(seen.publishers, 'publisher')}, "
             f"{_count(seen.subscribers, 'subscriber')}",
-            values=_numbers(seen),
+            values=numbers(seen),
         )
-
-    def _audit(self, topic: api.TopicSettings, seen: api.TopicFact) -> Sequence[api.Result]:
-        """Mismatches between the existing endpoints, cached until these change: there may be many pairs."""
-        ends = (seen.publishers, seen.subscribers)
-        known = self._audits.get(topic.name)
-        if known is not None and known[0] == ends:
-            return known[1]
-        matching = Matching(topic, seen)
-        problems = [find(topic, seen, matching) for find in (self._type, self._definition, self._qos)]
-        found = [problem for problem in problems if problem is not None]
-        self._audits[topic.name] = (ends, found)
-        return found
 
     def _missing(
         self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact, now: float
@@ -190,14 +147,14 @@ class Topics(api.Check):
         name = full(topic.name)
         # All of them in each run, which keeps the history of the endpoints.
         lost = [key for side in named_sides(topic, seen) for key in self._lost(name, *side, fact, now)]
-        idle = [key for key in lost if key[1] == "subscriber" and _use_of_output(key[2], fact) is _Use.NONE]
+        idle = [key for key in lost if key[1] == "subscriber" and use_of_output(key[2], fact) is Use.NONE]
         free = [node for _, _, node in idle]
         return (
             self._closed_endpoint(topic, seen, fact, now, [key for key in lost if key not in idle])
             or self._no_endpoint(topic, seen, fact)
             or self._named_missing(topic, seen, fact, free)
             or self._no_publisher(topic, seen, fact)
-            or (_on_demand(name, free) if free else None)
+            or (on_demand(name, free) if free else None)
         )
 
     def _closed_endpoint(
@@ -208,7 +165,7 @@ class Topics(api.Check):
         name, kind, node = lost[0]
         settles = [self._settle_s(key, fact, now) for key in lost]
         known = [settle_s for settle_s in settles if settle_s is not None]
-        result = self._bad(
+        result = problem(
             topic,
             seen,
             Level.ERROR,
@@ -223,14 +180,14 @@ class Topics(api.Check):
     def _settle_s(self, key: Key, fact: api.RosFact, now: float) -> float | None:
         """None: that of the unit."""
         settle_s = self._ends.settle_s(key, fact, now)
-        if key[1] == "subscriber" and _use_of_output(key[2], fact) is _Use.OLD:
+        if key[1] == "subscriber" and use_of_output(key[2], fact) is Use.OLD:
             return max(settle_s or SETTLE_S, OTHERS_S)
         return settle_s
 
     def _no_endpoint(self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact) -> api.Result | None:
         if seen.publishers or seen.subscribers:
             return None
-        return self._bad(
+        return problem(
             topic,
             seen,
             Level.ERROR,
@@ -238,6 +195,7 @@ class Topics(api.Check):
             "missing",
             f"topic {full(topic.name)} does not exist, expected a publisher: check that its node is running and how it is remapped."
             f"{_hint(topic, fact, (*topic.publishers, *topic.subscribers), absent=True)}",
+            self._target(topic),
         )
 
     def _named_missing(
@@ -251,7 +209,7 @@ class Topics(api.Check):
             if lacking:
                 hint = _hint(topic, fact, lacking) or did_you_mean(lacking[0], names)
                 others = f"; present: {listed(sorted(names))}" if names else " and has no other"
-                return self._bad(
+                return problem(
                     topic,
                     seen,
                     Level.ERROR,
@@ -259,13 +217,14 @@ class Topics(api.Check):
                     f"lost {kind} {last(lacking[0])}"[:30],
                     f"topic {full(topic.name)} lacks its {kind} {listed(lacking)}{others}: check that node's topic names and remappings."
                     f"{hint}",
+                    self._target(topic),
                 )
         return None
 
     def _no_publisher(self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact) -> api.Result | None:
         if seen.publishers:
             return None
-        return self._bad(
+        return problem(
             topic,
             seen,
             Level.ERROR,
@@ -273,6 +232,7 @@ class Topics(api.Check):
             "has no publisher",
             f"topic {full(topic.name)} has no publisher, expected one: check that its node is running and how it is remapped."
             f"{_hint(topic, fact, ())}",
+            self._target(topic),
         )
 
     def _lost(
@@ -293,80 +253,6 @@ class Topics(api.Check):
             if self._ends.lost(key, there=key[2] in names, listed=bool(fact.nodes.get(key[2])), now=now)
         ]
 
-    def _type(self, topic: api.TopicSettings, seen: api.TopicFact, matching: Matching) -> api.Result | None:
-        """ERROR if a configured endpoint has the wrong type or a configured pair has different types; WARN for others."""
-        name = full(topic.name)
-        if topic.type is None:
-            types = dict.fromkeys(end.type for _, end in all_ends(seen) if end.type)
-            if len(types) < 2:
-                return None
-            differing = [pairs for pairs in matching.pairs if not same_type(*pairs.first)]
-            ends = [f"{clean(end.type, 80)} at {side} {who(end)}" for side, end in sides(differing) or all_ends(seen)]
-            return self._bad(
-                topic,
-                seen,
-                matching.level_of(differing),
-                "type_wrong",
-                "mixed types",
-                f"topic {name} is used with different types, and endpoints of different types do not connect: {some(ends)}; "
-                "build them against the same message package",
-            )
-        wrong = [(side, end) for side, end in all_ends(seen) if end.type and end.type != topic.type]
-        if not wrong:
-            return None
-        bad = any(needed_end(topic, seen, side, end) for side, end in wrong)
-        ends = [f"type {clean(end.type, 80)} at {side} {who(end)}" for side, end in wrong]
-        return self._bad(
-            topic,
-            seen,
-            Level.ERROR if bad else Level.WARN,
-            "type_wrong",
-            "wrong type",
-            f"topic {name} has {some(ends)}; expected {topic.type} at all endpoints, others do not connect: build them "
-            "against the same message package",
-        )
-
-    def _definition(self, topic: api.TopicSettings, seen: api.TopicFact, matching: Matching) -> api.Result | None:
-        """Types with the same name and different content: they connect, but messages are wrong or cannot be decoded."""
-        found = [pairs for pairs in matching.pairs if same_type(*pairs.first) and not same_definition(*pairs.first)]
-        if not found:
-            return None
-        ends = [f"{side} {who(end)} has {clean(end.type_hash, 20)}" for side, end in sides(found)]
-        return self._bad(
-            topic,
-            seen,
-            matching.level_of(found),
-            "type_wrong",
-            "type versions differ",
-            f"topic {full(topic.name)}: {clean(found[0].publishers[0].type, 80)} is not the same type everywhere. {some(ends)}; build all "
-            "endpoints against the same version of its package",
-        )
-
-    def _qos(self, topic: api.TopicSettings, seen: api.TopicFact, matching: Matching) -> api.Result | None:
-        """Pairs whose publisher offers less than its subscriber requests, so that DDS does not connect them."""
-        found = [pairs for pairs in matching.pairs if pairs.wrong]
-        if not found:
-            return None
-        needed = [*filter(None, map(matching.needed, found))]
-        words = matching.mismatch_texts(needed or found)
-        others = sum(pairs.mismatches for pairs in needed or found) - len(words)
-        return self._bad(
-            topic,
-            seen,
-            Level.ERROR if needed else Level.WARN,
-            "qos_mismatch",
-            "QoS mismatch",
-            f"topic {full(topic.name)} does not connect all its endpoints. {joined(words)}"
-            + (f" And {others} more." if others else ""),
-            self._home(topic, needed),
-        )
-
-    def _home(self, topic: api.TopicSettings, found: Iterable[Pairs]) -> str:
-        """The topic's container if it contains all endpoints of the pairs; empty when the cause may be elsewhere."""
-        default = self._targets[_unit(topic)]
-        homes = {self._homes.get(end.node, default) for _, end in sides(found)}
-        return default if homes <= {default} else ""
-
     def _unfed(self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact, now: float) -> list[api.Result]:
         """WARN for a subscription without a publisher on a similar name: most likely a misspelling of this topic."""
         name = full(topic.name)
@@ -376,7 +262,7 @@ class Topics(api.Check):
             return []
         hints = joined([sentence(name, stray) for stray in found[:SHOWN]])
         return [
-            self._bad(
+            problem(
                 topic,
                 seen,
                 Level.WARN,
@@ -384,45 +270,12 @@ class Topics(api.Check):
                 f"misnamed {found[0].name[-21:]}",
                 f"topic {name} is connected, but {hints} Nothing publishes that name: correct it in that node's source, launch file "
                 "or remappings",
+                self._target(topic),
             )
         ]
 
-    def _bad(
-        self,
-        topic: api.TopicSettings,
-        seen: api.TopicFact,
-        level: Level,
-        condition: str,
-        short: str,
-        words: str,
-        target: str | None = None,
-    ) -> api.Result:
-        container = self._targets[_unit(topic)] if target is None else target
-        return api.Result(level, words, brief(last(topic.name), short), condition, container, _numbers(seen))
-
-
-def _use_of_output(node: str, fact: api.RosFact) -> _Use:
-    statements = (*STATEMENTS, f"{node}/transition_event")  # each lifecycle node has the latter
-    configured = [
-        topic
-        for name, topic in fact.topics.items()
-        if name not in statements and any(end.node == node for end in topic.publishers)
-    ]
-    others = [topic for name, topic in fact.others.items() if node in topic.publishers and name not in statements]
-    if (
-        len(fact.others) >= MANY
-        or any(end.node != node for topic in configured for end in topic.subscribers)
-        or not (configured or others)
-    ):
-        return _Use.OTHER
-    return _Use.OLD if any(user != node for topic in others for user in topic.subscribers) else _Use.NONE
-
-
-def _on_demand(name: str, nodes: Sequence[str]) -> api.Result:
-    return api.stale(
-        f"topic {name} has lost its subscriber {listed(nodes)}, which may subscribe on demand: no node subscribes to what it publishes. If so, "
-        "remove it from `subscribers`"
-    )
+    def _target(self, topic: api.TopicSettings) -> str:
+        return self._targets[unit_id(topic)]
 
 
 def _hint(topic: api.TopicSettings, fact: api.RosFact, lacking: Iterable[str], *, absent: bool = False) -> str:
@@ -437,18 +290,5 @@ def _hint(topic: api.TopicSettings, fact: api.RosFact, lacking: Iterable[str], *
     return "".join(f" {sentence(name, stray)}" for stray in likely[:SHOWN])
 
 
-def _conclusive(found: api.Result) -> api.Result:
-    """Mark a mismatch between existing endpoints as conclusive: it was observed directly, so a late node cannot cause it."""
-    return found.with_evidence(api.Evidence(conclusive=True)) if found.condition in BETWEEN else found
-
-
-def _unit(topic: api.TopicSettings) -> str:
-    return f"topics/{api.topic_id(topic.name)}"
-
-
 def _count(ends: Sequence[api.EndpointFact], what: str) -> str:
     return f"{len(ends)} {what}" if len(ends) == 1 else f"{len(ends)} {what}s"
-
-
-def _numbers(seen: api.TopicFact) -> dict[str, api.Value]:
-    return {"publishers": len(seen.publishers), "subscribers": len(seen.subscribers)}

@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 
 from phm import api, testing
-from phm_checks.topics import OTHERS_S, Topics
+from phm_checks._on_demand import OTHERS_S
+from phm_checks.topics import Topics
 
 RAW, RECT = "/a/raw", "/a/rect"
 CAMERA, RECTIFY, VIEWER = "/a/camera", "/a/rectify", "/a/viewer"

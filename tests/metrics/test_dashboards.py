@@ -140,6 +140,18 @@ def test_each_panel_has_a_title_a_query_and_its_own_place() -> None:
             assert labels <= allowed, (panel["title"], labels - allowed)
 
 
+def test_the_first_action_of_a_kind_is_counted(tmp_path: Path) -> None:
+    """Its series begins with it at 1, which `increase()` alone does not see."""
+    (expr,) = [text for text in queries() if "phm_actions_total" in text]
+    series = 'phm_actions_total{instance="a",slot="nodes",action="restart",outcome="started"}'
+    expected = {"labels": '{action="restart", outcome="started"}', "value": 1}
+    expressions = [{"expr": expr, "eval_time": "70m", "exp_samples": [expected]}]
+    inputs = [{"series": series, "values": "_x30 1x60"}]
+    case = {"interval": "1m", "input_series": inputs, "promql_expr_test": expressions}
+    (tmp_path / "first.yaml").write_text(json.dumps({"tests": [case]}))
+    assert "SUCCESS" in promtool("test", "rules", "first.yaml", folder=tmp_path)
+
+
 def test_promtool_accepts_the_rules_and_the_configuration() -> None:
     """Also with the rule file beside it."""
     promtool("check", "rules", str(ALERTS))

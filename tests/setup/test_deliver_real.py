@@ -158,12 +158,22 @@ def checks_page(folder: Path, file: Path, port: int, key: Path) -> Iterator[Clie
 
 
 def deliver(client: Client, file: Path, text: str, base: str | None) -> Mapping[str, Any]:
-    """Save a text and deliver it, as the buttons of the page do. base: the text that the agent has; None: whatever it has."""
+    """Save a text and deliver it, as the buttons of the page do. base: the text that the agent has; None: whatever it has.
+
+    On a machine that stalls, PHM does not trust the heartbeats that have waited meanwhile: deliver again after the next one.
+    """
     opened = client.post("/api/config/open", {"name": str(file)})
     saved = {"name": str(file), "text": text, "version": opened["version"], "anyway": True}
     client.post("/api/config/save", saved)
     body = {"name": str(file), "version": version_of(text), "base": None if base is None else version_of(base)}
-    return dict(client.post("/api/config/deliver", body))
+    answers: list[dict[str, Any]] = []
+
+    def decided() -> bool:
+        answers.append(dict(client.post("/api/config/deliver", body)))
+        return answers[-1]["ok"] or "old heartbeats of the autopilot" not in answers[-1]["text"]
+
+    until(decided, "an answer about the delivery", lambda: str(answers[-1:]), poll_s=1.0)
+    return answers[-1]
 
 
 def key_file(path: Path) -> Path:
