@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 from phm import api
 from phm_checks._evidence import Evidence, Kind, Observation
+from phm_checks._ros_facts import beacon_silent, full_name, is_large
 from phm_checks._text import last, listed, span
 
-SILENT_PERIODS, SILENT_S = 3.0, 0.5
-"""A beacon is silent if it misses this many periods, and for at least this long."""
 LATE_S = 1.5
 """An executor that has not run for this long is late. Below the time after which a silent topic is reported."""
 WAVER_PERIODS = 2.0
@@ -18,9 +17,8 @@ WAVER_PERIODS = 2.0
 WAVER_S = 0.2
 OVERDUE_S = 2.0
 """For this long the last message of a slow topic counts more than a process that has ended."""
-LARGE_BPS, PAUSE_S = 0.8e6, 2.75
-"""PHM samples topics above this many bytes per second with pauses of this length (`phm.probes.ros.rates.topic_monitor`), so they
-appear to be interrupted."""
+PAUSE_S = 2.75
+"""PHM samples large topics with pauses of this length (`phm.probes.ros.rates.topic_monitor`), so they appear to be interrupted."""
 TWICE_S = 30.0
 """A restarted node is listed twice until its old lease ends, 20 s by default in Fast DDS; longer means two nodes."""
 
@@ -42,11 +40,11 @@ class NodeTopics:
     def of(cls, node: str, topics: Iterable[api.TopicSettings]) -> NodeTopics:
         rates, used = [], []
         for topic in topics:
-            name = f"/{api.topic_id(topic.name)}"
-            publishers = [f"/{api.topic_id(end)}" for end in topic.publishers]
+            name = full_name(topic.name)
+            publishers = [full_name(end) for end in topic.publishers]
             if publishers == [node] and topic.rate:
                 rates.append((name, topic.rate))
-            if node in publishers or node in [f"/{api.topic_id(end)}" for end in topic.subscribers]:
+            if node in publishers or node in map(full_name, topic.subscribers):
                 used.append(name)
         return cls(tuple(rates), tuple(used))
 
@@ -114,7 +112,7 @@ class GraphEvidence:
         silent_s = max(0.0, beacon.silent_s - fact.age_s)
         if silent_s > WAVER_PERIODS * beacon.period_s:
             self.suspicions.add("beacon irregular")
-        if silent_s > max(SILENT_PERIODS * beacon.period_s, SILENT_S):
+        if beacon_silent(beacon, fact.age_s):
             self.suspicions.add("beacon silent")
             if (report := fact.received_only_elsewhere(self._node)) is not None:
                 return _as_others_receive_it(report)
@@ -226,5 +224,5 @@ def _as_others_receive_it(report: api.Reception) -> Evidence:
 
 
 def _waver_s(rate: api.RateFact, expected_hz: float) -> float:
-    large = (rate.sample_bytes or 0.0) * (rate.hz or expected_hz) > LARGE_BPS
-    return max(WAVER_PERIODS / expected_hz, WAVER_S) + (PAUSE_S if large else 0.0)
+    pause_s = PAUSE_S if is_large(rate, rate.hz or expected_hz) else 0.0
+    return max(WAVER_PERIODS / expected_hz, WAVER_S) + pause_s

@@ -10,19 +10,17 @@ from dataclasses import dataclass
 
 from phm import api
 from phm.api import Level
-from phm_checks._endpoint_matching import full
+from phm_checks._ros_facts import full_name, is_large
 from phm_checks._text import brief, clean, last, listed, span
 
-OLD_SNAPSHOT_S = 5.0
-"""Older snapshots of the ROS child process are not evaluated."""
 SETTLE_S = 3.0
 """A node that starts again within its running container is not ready for a moment, and its death may be known later."""
 UNANSWERED_S = 5.0
 """A lifecycle node that has not answered for this long is not ready."""
 NOT_LISTED = "a name in the ROS domain is not UTF-8"
 BUSY = "PHM restarts nothing for this: it may be busy"
-LARGE_BPS, LARGE_PAUSE_S = 0.8e6, 2.5
-"""Topics with more bytes per second are received only every two seconds (`phm.probes.ros.rates.topic_monitor`)."""
+LARGE_PAUSE_S = 2.5
+"""Large topics are received only every two seconds (`phm.probes.ros.rates.topic_monitor`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,10 +92,10 @@ class Requirements:
     def unmet(self, ready: api.ReadySettings) -> list[Finding]:
         """Findings about services and topics, in the order of the configuration."""
         limit_s = self._silence_s if ready.silence is None else ready.silence
-        found = [self._service(full(name)) for name in ready.services]
-        found += [self._topic(full(name), limit_s) for name in ready.topics]
+        found = [self._service(full_name(name)) for name in ready.services]
+        found += [self._topic(full_name(name), limit_s) for name in ready.topics]
         if ready.call is not None:
-            found.append(self._call(full(ready.call)))
+            found.append(self._call(full_name(ready.call)))
         return [one for one in found if one is not None]
 
     def lifecycle(self, node: str, expected: str) -> Finding | None:
@@ -147,17 +145,8 @@ class Requirements:
             return Finding(f"topic {name} {what}", f"no {last(name)}", unknown=young)
         if any((end.durability, end.reliability) == ("transient_local", "reliable") for end in seen.publishers):
             return None  # latched: one message is enough, whatever else publishes beside the one that keeps it
-        large = (rate.sample_bytes or 0.0) * (rate.hz or 0.0) > LARGE_BPS
         silent_s = rate.silent_s - rate.not_counted_s
-        if silent_s <= limit_s + (LARGE_PAUSE_S if large else 0.0):
+        if silent_s <= limit_s + (LARGE_PAUSE_S if is_large(rate, rate.hz or 0.0) else 0.0):
             return None
         words = f"topic {name} is silent for {span(silent_s)}, expected a message at least every {span(limit_s)}"
         return Finding(words, f"{last(name)} silent", silent=True)
-
-
-def snapshot(world: api.World) -> api.RosFact:
-    """The newest snapshot. Raises CannotTell without a recent one."""
-    fact = world.ros.snapshot()
-    if fact.age_s > OLD_SNAPSHOT_S:
-        raise api.CannotTell(f"the ROS child process has sent nothing for {span(fact.age_s)}, too old to evaluate")
-    return fact

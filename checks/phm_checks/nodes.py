@@ -13,10 +13,9 @@ from phm_checks._graph_evidence import TWICE_S, GraphEvidence, NodeTopics
 from phm_checks._liveness import HANG_S, LOST_S, NodeHistory, NodeState, NodeVerdict, disproved, judge_node
 from phm_checks._process_matching import Wanted, wanted_nodes
 from phm_checks._process_table import NEVER, ProcessTable
+from phm_checks._ros_facts import graph_snapshot
 from phm_checks._text import brief, did_you_mean, last, span
 
-OLD_SNAPSHOT_S = 5.0
-"""Older snapshots of the graph are not evaluated."""
 SLOW_S = 1.0
 WITNESSES = 2
 """At least this many nodes of a container, in as many processes, and all of them, must be unreachable before the container's network is
@@ -397,9 +396,6 @@ def _network_result(
 def _snapshot(world: api.World) -> tuple[api.RosFact | None, str]:
     """The newest graph snapshot, or None and the reason why there is no usable one."""
     try:
-        fact = world.ros.snapshot()
+        return graph_snapshot(world), ""
     except api.CannotTell as reason:
         return None, str(reason)
-    if fact.age_s > OLD_SNAPSHOT_S:
-        return None, f"the newest ROS graph snapshot is {span(fact.age_s)} old, too old to evaluate"
-    return fact, ""
