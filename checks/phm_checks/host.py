@@ -14,8 +14,6 @@ from phm_checks._recent_throttling import RecentThrottling
 from phm_checks._text import StableNumber, brief, clean, joined, listed, merged, span
 from phm_checks._threshold import Threshold
 
-__all__ = ["STEP_REPORT_S", "Host", "Threshold"]
-
 STEP_REPORT_S = 30.0
 """A clock jump shows in one reading; it is reported for this long so that operators see it."""
 FIRST_SET_S = 300.0

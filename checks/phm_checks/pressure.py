@@ -79,7 +79,7 @@ class Pressure(PerContainer):
         over = self._window.over(self._limits.window)
         newest = self._window.over(NEWEST_S)
         if over is None or newest is None:
-            return api.stale(f"resource pressure of {self.key} needs a second reading", brief="")
+            return api.stale(f"resource pressure of {self.key} needs a second reading")
         return self._judge(world, fact, over, newest)
 
     def _judge(

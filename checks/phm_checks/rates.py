@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from phm import api
 from phm.api import Layer, Level, Slot
@@ -56,7 +56,7 @@ class _Case:
     topic: api.TopicSettings
     rate: float
     target: str
-    values: Mapping[str, api.Value] = field(default_factory=dict)
+    values: Mapping[str, api.Value]
 
     @property
     def name(self) -> str:
