@@ -6,11 +6,10 @@ from collections.abc import Sequence
 
 from phm import api
 from phm_checks._command_path import Hop, HopState
+from phm_checks._ros_facts import OLD_SNAPSHOT_S, full_name
 from phm_checks._text import last, listed, span
 
 NAME = "application"
-OLD_S = 5.0
-"""Older snapshots of the graph are not evaluated."""
 HANG_S = 5.0
 POLL_S = 5.0
 """While its nodes are there, the engine is asked about the container this often; its own check reports it sooner."""
@@ -26,7 +25,7 @@ class ApplicationHop:
         self._grace_s = settings.ros.grace
         self._all = not any(node.commands for node in settings.ros.nodes)
         self.container = settings.command_container if self._all else ""
-        self._nodes = [f"/{api.topic_id(name)}" for name in settings.command_nodes]
+        self._nodes = [full_name(name) for name in settings.command_nodes]
         self.unclear = settings.command_path_unclear
         self._asked_at = float("-inf")
         self._fact: api.ContainerFact | None = None
@@ -70,7 +69,7 @@ class ApplicationHop:
             fact = world.ros.snapshot()
         except api.CannotTell:
             return Hop(NAME, HopState.UNKNOWN, "the ROS graph is unknown")
-        if fact.age_s > OLD_S:
+        if fact.age_s > OLD_SNAPSHOT_S:
             return Hop(NAME, HopState.UNKNOWN, f"the ROS graph snapshot is {span(fact.age_s)} old")
         gone = [node for node in self._nodes if not fact.nodes.get(node)]
         stuck = [node for node in self._nodes if node not in gone and _stuck(node, fact)]

@@ -109,7 +109,9 @@ class Cpu:
         self._first = now if self._first is None else self._first
         seen = self._pressed(use, waiting, now)
         if seen is not None and (self._quick_fault is not None or not self._starting(now, world)):
-            level = max(seen[0], self._quick_fault[1], key=_rank) if self._quick_fault is not None else seen[0]
+            level = seen[0]
+            if self._quick_fault is not None:
+                level = max(level, self._quick_fault[1], key=lambda one: one.severity)
             # Not `now`: on a busy machine the engine may have taken seconds to answer whether a container is starting.
             self._quick_fault = world.clock.mono(), level, seen[1]
         if self._quick_fault is not None and now - self._quick_fault[0] > STAYS_S:
@@ -151,10 +153,6 @@ class Cpu:
             self._ask_from = now + ASK_AGAIN_S
             return True
         return any(fact is not None and fact.running and _age_s(fact, world) < self._start_s for fact in facts)
-
-
-def _rank(level: Level) -> int:
-    return (Level.OK, Level.STALE, Level.WARN, Level.ERROR).index(level)
 
 
 def _age_s(fact: api.ContainerFact, world: api.World) -> float:

@@ -13,8 +13,9 @@ from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from phm import api
-from phm_checks._graph_evidence import SILENT_PERIODS, NodeTopics
+from phm_checks._graph_evidence import NodeTopics
 from phm_checks._process_matching import Wanted, match, repeated, wanted_nodes
+from phm_checks._ros_facts import SILENT_PERIODS
 from phm_checks._text import listed, span
 from phm_checks._witnesses import WITNESSES, Arrivals, Causes, expected, independent
 

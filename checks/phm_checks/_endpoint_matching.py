@@ -15,16 +15,12 @@ from itertools import islice
 from phm import api
 from phm.api import Level
 from phm_checks._qos import Mismatch, mismatches
+from phm_checks._ros_facts import full_name
 from phm_checks._text import clean
 
 SHOWN = 3
 MAX_KINDS = 50
 """Limit for different types and QoS on one side of a topic, those of named nodes first: only hostile ones are more."""
-
-
-def full(name: str) -> str:
-    """A ROS name with its leading slash."""
-    return f"/{api.topic_id(name)}"
 
 
 def all_ends(seen: api.TopicFact) -> Iterator[tuple[str, api.EndpointFact]]:
@@ -66,7 +62,7 @@ class Matching:
 
     def __init__(self, topic: api.TopicSettings, seen: api.TopicFact) -> None:
         self._publishers, self._subscribers = (
-            frozenset(map(full, nodes)) for nodes in (topic.publishers, topic.subscribers)
+            frozenset(map(full_name, nodes)) for nodes in (topic.publishers, topic.subscribers)
         )
         outs = _alike(seen.publishers, self._publishers)
         intos = _alike(seen.subscribers, self._subscribers)[:MAX_KINDS]
@@ -171,7 +167,7 @@ def needed_end(topic: api.TopicSettings, seen: api.TopicFact, side: str, end: ap
 
 
 def named(end: api.EndpointFact, nodes: Iterable[str]) -> bool:
-    return end.node in {full(node) for node in nodes}
+    return end.node in {full_name(node) for node in nodes}
 
 
 def who(end: api.EndpointFact) -> str:

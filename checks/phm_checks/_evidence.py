@@ -34,7 +34,7 @@ class Observation(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
+class EvidencePiece:
     """age_s: time since it was observed. lasted_s: how long the state has lasted. words: a clause for the operator. measured: for a
     process, whether its CPU use is known; its `lasted_s` is how long it has used none. overdue: for a beacon or topic that is
     alive, whether the next message is late; for silent topics, whether each is silent for longer than its limit."""

@@ -6,11 +6,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from phm import api
-from phm_checks._evidence import Evidence, Kind, Observation
+from phm_checks._evidence import EvidencePiece, Kind, Observation
+from phm_checks._ros_facts import beacon_silent, full_name, is_large
 from phm_checks._text import last, listed, span
 
-SILENT_PERIODS, SILENT_S = 3.0, 0.5
-"""A beacon is silent if it misses this many periods, and for at least this long."""
 LATE_S = 1.5
 """An executor that has not run for this long is late. Below the time after which a silent topic is reported."""
 WAVER_PERIODS = 2.0
@@ -18,9 +17,8 @@ WAVER_PERIODS = 2.0
 WAVER_S = 0.2
 OVERDUE_S = 2.0
 """For this long the last message of a slow topic counts more than a process that has ended."""
-LARGE_BPS, PAUSE_S = 0.8e6, 2.75
-"""PHM samples topics above this many bytes per second with pauses of this length (`phm.probes.ros.rates.topic_monitor`), so they
-appear to be interrupted."""
+PAUSE_S = 2.75
+"""PHM samples large topics with pauses of this length (`phm.probes.ros.rates.topic_monitor`), so they appear to be interrupted."""
 TWICE_S = 30.0
 """A restarted node is listed twice until its old lease ends, 20 s by default in Fast DDS; longer means two nodes."""
 
@@ -42,11 +40,11 @@ class NodeTopics:
     def of(cls, node: str, topics: Iterable[api.TopicSettings]) -> NodeTopics:
         rates, used = [], []
         for topic in topics:
-            name = f"/{api.topic_id(topic.name)}"
-            publishers = [f"/{api.topic_id(end)}" for end in topic.publishers]
+            name = full_name(topic.name)
+            publishers = [full_name(end) for end in topic.publishers]
             if publishers == [node] and topic.rate:
                 rates.append((name, topic.rate))
-            if node in publishers or node in [f"/{api.topic_id(end)}" for end in topic.subscribers]:
+            if node in publishers or node in map(full_name, topic.subscribers):
                 used.append(name)
         return cls(tuple(rates), tuple(used))
 
@@ -80,7 +78,7 @@ class GraphEvidence:
 
     def observe(
         self, fact: api.RosFact | None, now: float, began_at: float, *, same_process: bool = False
-    ) -> list[Evidence]:
+    ) -> list[EvidencePiece]:
         """Evidence from the newest snapshot; None if there is none. began_at: older data belongs to an earlier node of this name, and so
         does data from before its name appeared, unless its process is known to be the same."""
         if fact is None:
@@ -103,7 +101,7 @@ class GraphEvidence:
 
     # ------------------------------------------------------------ one method per kind
 
-    def _beacon(self, fact: api.RosFact, now: float, began_at: float) -> Evidence | None:
+    def _beacon(self, fact: api.RosFact, now: float, began_at: float) -> EvidencePiece | None:
         beacon = fact.beacons.get(self._node)
         self.rivals = beacon.rivals if beacon is not None else 0
         if beacon is None or now - beacon.age_s < began_at:
@@ -114,21 +112,21 @@ class GraphEvidence:
         silent_s = max(0.0, beacon.silent_s - fact.age_s)
         if silent_s > WAVER_PERIODS * beacon.period_s:
             self.suspicions.add("beacon irregular")
-        if silent_s > max(SILENT_PERIODS * beacon.period_s, SILENT_S):
+        if beacon_silent(beacon, fact.age_s):
             self.suspicions.add("beacon silent")
             if (report := fact.received_only_elsewhere(self._node)) is not None:
                 return _as_others_receive_it(report)
             words = f"its beacon has been silent for {span(silent_s)}"
-            return Evidence(Kind.BEACON, Observation.SILENT, words, fact.age_s, silent_s)
+            return EvidencePiece(Kind.BEACON, Observation.SILENT, words, fact.age_s, silent_s)
         overdue = silent_s > WAVER_PERIODS * beacon.period_s
         if beacon.turns and beacon.late_s > LATE_S:
             self.suspicions.add("executor late")
             words = f"its executor has been blocked for {span(beacon.late_s)}, according to its beacon"
-            return Evidence(Kind.BEACON, Observation.LATE, words, beacon.age_s, beacon.late_s, overdue=overdue)
+            return EvidencePiece(Kind.BEACON, Observation.LATE, words, beacon.age_s, beacon.late_s, overdue=overdue)
         words = f"its last beacon was {span(beacon.age_s)} ago"
-        return Evidence(Kind.BEACON, Observation.ALIVE, words, beacon.age_s, overdue=overdue)
+        return EvidencePiece(Kind.BEACON, Observation.ALIVE, words, beacon.age_s, overdue=overdue)
 
-    def _topics(self, fact: api.RosFact) -> Evidence | None:
+    def _topics(self, fact: api.RosFact) -> EvidencePiece | None:
         """Topics that only this node publishes: data on one is a sign of life, silence of all a reason to check the processes."""
         silent: list[tuple[float, str]] = []
         limits = []
@@ -142,7 +140,7 @@ class GraphEvidence:
             known_s = max(0.0, rate.silent_s - rate.not_counted_s - fact.age_s)
             if known_s <= _waver_s(rate, rate_hz):
                 words, overdue = f"data arrives on {last(topic)}", known_s > OVERDUE_S
-                return Evidence(Kind.TOPICS, Observation.ALIVE, words, rate.silent_s, overdue=overdue)
+                return EvidencePiece(Kind.TOPICS, Observation.ALIVE, words, rate.silent_s, overdue=overdue)
             silent.append((known_s, topic))
             limits.append(rate.limit_s or 3.0 / rate_hz)
         if not silent:
@@ -151,15 +149,15 @@ class GraphEvidence:
         overdue = shortest_s > max(limits)
         self.suspicions |= {"topics irregular", "topics silent"} if overdue else {"topics irregular"}
         words = f"silent for {span(shortest_s)}: {listed([last(topic) for _, topic in silent], 3)}"
-        return Evidence(Kind.TOPICS, Observation.SILENT, words, fact.age_s, shortest_s, overdue=overdue)
+        return EvidencePiece(Kind.TOPICS, Observation.SILENT, words, fact.age_s, shortest_s, overdue=overdue)
 
-    def _endpoints(self, fact: api.RosFact, now: float) -> Evidence | None:
+    def _endpoints(self, fact: api.RosFact, now: float) -> EvidencePiece | None:
         """Missing endpoints count only for a listed node that had some: otherwise its topics are remapped, or it is still starting."""
         seen = (fact.topics.get(topic, api.TopicFact()) for topic in self._ends.topics)
         if any(end.node == self._node for topic in seen for end in (*topic.publishers, *topic.subscribers)):
             self._had_ends, self._bare_since = True, None
             self._never_named = self._nameless(fact)
-            return Evidence(Kind.ENDPOINTS, Observation.ALIVE, "its endpoints are there", fact.age_s)
+            return EvidencePiece(Kind.ENDPOINTS, Observation.ALIVE, "its endpoints are there", fact.age_s)
         if not self.count or not self._had_ends:
             self._had_ends, self._bare_since = False, None
             return None
@@ -168,7 +166,8 @@ class GraphEvidence:
         self._bare_since = now if self._bare_since is None else self._bare_since
         self.suspicions.add("no endpoints")
         lasted_s = now - self._bare_since
-        return Evidence(Kind.ENDPOINTS, Observation.GONE, "none of its endpoints is in the graph", fact.age_s, lasted_s)
+        words = "none of its endpoints is in the graph"
+        return EvidencePiece(Kind.ENDPOINTS, Observation.GONE, words, fact.age_s, lasted_s)
 
     def _count_ends(self, fact: api.RosFact, now: float) -> None:
         self.duplicated = self.count > 1 and self._most_ends(fact) != 1
@@ -180,7 +179,7 @@ class GraphEvidence:
         ends = ([end.node for end in side] for one in seen for side in (one.publishers, one.subscribers))
         return max((nodes.count(self._node) for nodes in ends), default=0)
 
-    def _name(self, fact: api.RosFact, now: float) -> Evidence | None:
+    def _name(self, fact: api.RosFact, now: float) -> EvidencePiece | None:
         """If the child process has never listed the node, its snapshots prove the node's absence only once it has run for long enough."""
         count = fact.nodes.get(self._node, 0)
         if count > self.count:
@@ -191,7 +190,7 @@ class GraphEvidence:
             self.suspicions.add("listed twice")
         if count:
             self._listed_by_this_child, self._gone_since = True, None
-            return Evidence(Kind.NAME, Observation.ALIVE, "it is listed in the graph", fact.age_s)
+            return EvidencePiece(Kind.NAME, Observation.ALIVE, "it is listed in the graph", fact.age_s)
         self.suspicions.add("not listed")
         if not fact.names_known:
             return None
@@ -202,7 +201,7 @@ class GraphEvidence:
         if self._listed_by_this_child and now - self._gone_since < UNNAMED_S and self._unnamed(fact):
             self.suspicions.add("name unknown")
             return None
-        return Evidence(Kind.NAME, Observation.GONE, "it is not in the graph", fact.age_s, now - self._gone_since)
+        return EvidencePiece(Kind.NAME, Observation.GONE, "it is not in the graph", fact.age_s, now - self._gone_since)
 
     def _unnamed(self, fact: api.RosFact) -> bool:
         """Whether an endpoint of its topics has lost its node name: it may be this node's own, whose name only PHM has lost."""
@@ -216,15 +215,15 @@ class GraphEvidence:
         return {side: sum(not end.node for end in ends) for side, ends in sides.items()}
 
 
-def _as_others_receive_it(report: api.Reception) -> Evidence:
+def _as_others_receive_it(report: api.Reception) -> EvidencePiece:
     """A node that another one has received since its last beacon here is not silent: PHM's own participant is at fault."""
     words = f"PHM does not receive its beacon, but {report.by} does"
     if report.late_s > LATE_S:
         words += f"; its executor has been blocked for {span(report.late_s)}"
-        return Evidence(Kind.BEACON, Observation.LATE, words, report.ago_s, report.late_s)
-    return Evidence(Kind.BEACON, Observation.ALIVE, words, report.ago_s)
+        return EvidencePiece(Kind.BEACON, Observation.LATE, words, report.ago_s, report.late_s)
+    return EvidencePiece(Kind.BEACON, Observation.ALIVE, words, report.ago_s)
 
 
 def _waver_s(rate: api.RateFact, expected_hz: float) -> float:
-    large = (rate.sample_bytes or 0.0) * (rate.hz or expected_hz) > LARGE_BPS
-    return max(WAVER_PERIODS / expected_hz, WAVER_S) + (PAUSE_S if large else 0.0)
+    pause_s = PAUSE_S if is_large(rate, rate.hz or expected_hz) else 0.0
+    return max(WAVER_PERIODS / expected_hz, WAVER_S) + pause_s

@@ -7,7 +7,8 @@ does about it.
 from __future__ import annotations
 
 from phm import api
-from phm_checks._endpoint_matching import full, named_sides
+from phm_checks._endpoint_matching import named_sides
+from phm_checks._ros_facts import full_name
 from phm_checks._text import listed
 
 LATE_S = 0.3
@@ -23,11 +24,11 @@ class GraphGaps:
 
     def judge(self, topic: api.TopicSettings, seen: api.TopicFact, now: float) -> api.Result | None:
         """STALE if it is unknown whether a named endpoint exists, or data proves an endpoint that is not listed; otherwise None."""
-        name = full(topic.name)
+        name = full_name(topic.name)
         numbers: dict[str, api.Value] = {"publishers": len(seen.publishers), "subscribers": len(seen.subscribers)}
         for kind, wanted, there in named_sides(topic, seen):
             names = {end.node for end in there}
-            lacking = [node for node in map(full, wanted) if node not in names]
+            lacking = [node for node in map(full_name, wanted) if node not in names]
             if lacking and "" in names:
                 return api.stale(
                     f"topic {name} has a {kind} whose node PHM does not know: whether {listed(lacking)} "

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 
-from phm_checks._evidence import Evidence, Kind, Observation
+from phm_checks._evidence import EvidencePiece, Kind, Observation
 
 
 class NodeState(Enum):
@@ -86,15 +86,15 @@ class NodeVerdict:
 class Findings:
     """All evidence about one node, at most one piece of each kind."""
 
-    of: Mapping[Kind, Evidence]
+    of: Mapping[Kind, EvidencePiece]
     past: NodeHistory
 
-    def evidence(self, kind: Kind, *what: Observation) -> Evidence | None:
+    def evidence(self, kind: Kind, *what: Observation) -> EvidencePiece | None:
         found = self.of.get(kind)
         return found if found is not None and found.says in what else None
 
     @property
-    def signs(self) -> list[Evidence]:
+    def signs(self) -> list[EvidencePiece]:
         """Its beacon and its topics, in this order, as far as they are received."""
         signs = (
             self.evidence(Kind.BEACON, Observation.ALIVE, Observation.LATE),
@@ -102,7 +102,7 @@ class Findings:
         )
         return [sign for sign in signs if sign is not None]
 
-    def alive_since(self, then: Evidence) -> bool:
+    def alive_since(self, then: EvidencePiece) -> bool:
         """Whether the node sent a beacon or published after `then` was observed."""
         return any(sign.age_s + NEWER_S < then.age_s for sign in self.signs)
 
@@ -118,7 +118,7 @@ RuleResult = tuple[NodeState, Kind | None] | None
 """The state and the kind of evidence that decided, or None."""
 
 
-def judge_node(evidence: Iterable[Evidence], past: NodeHistory) -> NodeVerdict:
+def judge_node(evidence: Iterable[EvidencePiece], past: NodeHistory) -> NodeVerdict:
     """Determine the state of one node."""
     case = Findings({piece.kind: piece for piece in evidence}, past)
     verdicts = (rule(case) for rule in RULES)
@@ -134,7 +134,7 @@ def judge_node(evidence: Iterable[Evidence], past: NodeHistory) -> NodeVerdict:
     return NodeVerdict(state, "; ".join(piece.words for piece in pieces), busy_s, witnessed, certain, age_s)
 
 
-def disproved(evidence: Iterable[Evidence]) -> bool:
+def disproved(evidence: Iterable[EvidencePiece]) -> bool:
     """Whether the node has sent for DISPROVED_S after the process that was taken for its own had ended: it was another program's."""
     case = Findings({piece.kind: piece for piece in evidence}, NodeHistory())
     gone = case.evidence(Kind.PROCESS, Observation.GONE)
@@ -212,7 +212,7 @@ def _certainly_blocked(case: Findings) -> bool:
     return late is not None and late.lasted_s >= CERTAIN_HANG_S and process is not None and process.measured
 
 
-def _unanswering(case: Findings, beacon: Evidence) -> NodeState:
+def _unanswering(case: Findings, beacon: EvidencePiece) -> NodeState:
     """A process known not to use the CPU is hung. If that is unknown, a node in a container does not count as hung: recovery would
     restart a node that is only busy. Before HANG_S it is reported where two observations agree: it says itself that its executor
     does not run, and its data is missing."""

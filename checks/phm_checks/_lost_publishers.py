@@ -10,7 +10,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from phm import api
-from phm_checks._node_consensus import receives_other, silent
+from phm_checks._node_consensus import receives_other
+from phm_checks._ros_facts import beacon_silent, full_name
 
 LOST_S = 10.0
 """Participants that can find each other again do so sooner: they announce themselves every 3 s or more often."""
@@ -31,8 +32,8 @@ def connections(settings: api.Settings, nodes: Sequence[str]) -> tuple[Connectio
     """The configured ones between two of `nodes`; one for each pair of nodes and direction."""
     found: dict[tuple[str, str], Connection] = {}
     for topic in settings.ros.topics:
-        for publisher in map(_full, topic.publishers):
-            for subscriber in map(_full, topic.subscribers):
+        for publisher in map(full_name, topic.publishers):
+            for subscriber in map(full_name, topic.subscribers):
                 if publisher != subscriber and {publisher, subscriber} <= set(nodes):
                     found.setdefault((publisher, subscriber), Connection(publisher, subscriber, topic.name))
     return tuple(found.values())
@@ -64,14 +65,10 @@ class LostPublishers:
         return [one for run, one in lost.items() if now - self._since[run] >= LOST_S]
 
 
-def _full(name: str) -> str:
-    return f"/{api.topic_id(name)}"
-
-
 def _received(one: Connection, beacons: Mapping[str, api.BeaconFact], late_s: float) -> bool | None:
     """Whether the subscriber receives the publisher, as its beacon says. None: one of them has none now, or they are one process."""
     publisher, subscriber = beacons.get(one.publisher), beacons.get(one.subscriber)
-    if publisher is None or subscriber is None or silent(publisher, late_s) or silent(subscriber, late_s):
+    if publisher is None or subscriber is None or beacon_silent(publisher, late_s) or beacon_silent(subscriber, late_s):
         return None
     if publisher.witness and publisher.witness == subscriber.witness:
         return None

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from enum import Enum
 
 from phm import api
+from phm_checks._ros_facts import beacon_silent
 
 PHM = "PHM"
-SILENT_PERIODS, SILENT_S = 3.0, 0.5
-"""A beacon is silent if it misses this many periods, and for at least this long."""
 HUNG_S = 5.0
 """An executor that has not run for this long is hung."""
 MET_S = 10.0
@@ -79,7 +78,7 @@ def agree(beacons: Mapping[str, api.BeaconFact], others: Mapping[str, bool], lat
     PHM can observe them. late_s: age of the snapshot; while PHM itself is late, it receives nothing from any node, and that does not
     count as silence.
     """
-    received = {node: not silent(fact, late_s) for node, fact in beacons.items()}
+    received = {node: not beacon_silent(fact, late_s) for node, fact in beacons.items()}
     processes: dict[str, list[str]] = {}
     for node, fact in sorted(beacons.items()):
         if received[node]:
@@ -88,11 +87,6 @@ def agree(beacons: Mapping[str, api.BeaconFact], others: Mapping[str, bool], lat
     opinions = [_opinion(node, beacons, received, nodes_of) for node in sorted(beacons)]
     opinions += [_alone(node, receives) for node, receives in sorted(others.items())]
     return Agreement(tuple(opinions), (*nodes_of, PHM), _sides(nodes_of, opinions))
-
-
-def silent(fact: api.BeaconFact, late_s: float = 0.0) -> bool:
-    """Whether PHM does not receive the node's beacon."""
-    return max(0.0, fact.silent_s - late_s) > max(SILENT_PERIODS * fact.period_s, SILENT_S)
 
 
 def _opinion(

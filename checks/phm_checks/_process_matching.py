@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from phm import api
+from phm_checks._ros_facts import full_name
 
 _NAMESPACE = re.compile(r"(?:__ns:=|--namespace[ =])/?([\w/]*)", re.ASCII)
 _NAME = re.compile(r"__node:=(\w+)", re.ASCII)
@@ -47,7 +48,7 @@ class Wanted:
 
 def wanted_nodes(settings: api.Settings) -> list[Wanted]:
     """All configured nodes."""
-    named = ((f"/{api.topic_id(entry.name)}", entry) for entry in settings.ros.nodes)
+    named = ((full_name(entry.name), entry) for entry in settings.ros.nodes)
     return [Wanted(name, settings.container_of_node(name), tuple(entry.process)) for name, entry in named]
 
 

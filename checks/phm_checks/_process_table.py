@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Hashable, Mapping, Sequence
 
 from phm import api
-from phm_checks._evidence import Evidence, Kind, Observation
+from phm_checks._evidence import EvidencePiece, Kind, Observation
 from phm_checks._known_process import KnownProcess
 from phm_checks._process_matching import BARE, Match, Wanted, match
 
@@ -215,18 +215,18 @@ class ProcessTable:
         """When the node or its container was last seen to start, on the monotonic clock; -inf if no start was seen."""
         return max(self._born_at, self._began_at.get(name, NEVER))
 
-    def container(self, now: float) -> Evidence | None:
+    def container(self, now: float) -> EvidencePiece | None:
         """Evidence from the container's state, for all its nodes; None while the container is running."""
         age_s = now - self._asked_at
         if self._status == "running" and self._ending_since is not None and now - self._ending_since < ENDING_S:
             words = f"its container is stopping: its first process {self._first} has ended"
-            return Evidence(Kind.CONTAINER, Observation.ENDING, words, age_s)
+            return EvidencePiece(Kind.CONTAINER, Observation.ENDING, words, age_s)
         if self._status in ("", "running") or age_s > OLD_S:
             return None
         says = Observation.STOPPED if self._status == "paused" else Observation.GONE
-        return Evidence(Kind.CONTAINER, says, f"its container is {self._status}", age_s)
+        return EvidencePiece(Kind.CONTAINER, says, f"its container is {self._status}", age_s)
 
-    def process(self, name: str, now: float) -> Evidence | None:
+    def process(self, name: str, now: float) -> EvidencePiece | None:
         """Evidence from the newest list about one node; None if its state is unknown."""
         known = self._known.get(name)
         if self._listed_at is None or now - self._listed_at > OLD_S:
@@ -237,27 +237,27 @@ class ProcessTable:
             if not self._vanished(name, now):
                 return None
             lasted_s = now - self._vanished_at.setdefault(name, self._listed_at)
-            return Evidence(Kind.PROCESS, Observation.GONE, words, age_s, lasted_s)
+            return EvidencePiece(Kind.PROCESS, Observation.GONE, words, age_s, lasted_s)
         if not known.there:
             words, lasted_s = f"its process {known.pid} has ended", now - known.ended_at
             return (
-                Evidence(Kind.PROCESS, Observation.GONE, words, age_s, lasted_s)
+                EvidencePiece(Kind.PROCESS, Observation.GONE, words, age_s, lasted_s)
                 if self._unclear.get(name, 0) < 2
                 else None
             )
         if known.state in ("T", "t"):
             words = f"its process {known.pid} is stopped (state {known.state}: SIGSTOP or a debugger)"
-            return Evidence(Kind.PROCESS, Observation.STOPPED, words, age_s)
+            return EvidencePiece(Kind.PROCESS, Observation.STOPPED, words, age_s)
         if known.state == "D":
             # It does not use the CPU because it cannot: a restart would wait for the same disk.
             words = f"its process {known.pid} waits for a disk or a device (state D)"
-            return Evidence(Kind.PROCESS, Observation.ALIVE, words, age_s, measured=False)
+            return EvidencePiece(Kind.PROCESS, Observation.ALIVE, words, age_s, measured=False)
         if known.busy:
-            return Evidence(Kind.PROCESS, Observation.BUSY, f"its process {known.pid} is using the CPU", age_s)
+            return EvidencePiece(Kind.PROCESS, Observation.BUSY, f"its process {known.pid} is using the CPU", age_s)
         words = f"its process {known.pid} is running"
         if known.measured:
-            return Evidence(Kind.PROCESS, Observation.ALIVE, words, age_s, now - known.idle_since)
-        return Evidence(Kind.PROCESS, Observation.ALIVE, f"{words}, its CPU use is unknown", age_s, measured=False)
+            return EvidencePiece(Kind.PROCESS, Observation.ALIVE, words, age_s, now - known.idle_since)
+        return EvidencePiece(Kind.PROCESS, Observation.ALIVE, f"{words}, its CPU use is unknown", age_s, measured=False)
 
     def fit(self, name: str, now: float) -> int:
         """The number of processes in the newest list that may be the node's own, if more than one; 0 for one, none, or no list."""

@@ -10,7 +10,8 @@ from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from phm import api
-from phm_checks._node_consensus import MET_S, PHM, Agreement, Opinion, Verdict, silent
+from phm_checks._node_consensus import MET_S, PHM, Agreement, Opinion, Verdict
+from phm_checks._ros_facts import beacon_silent
 
 RECEIVED_S = 10.0
 """A node that PHM receives is dead if the majority has not received it for this long: a restarted node is discovered sooner."""
@@ -122,4 +123,4 @@ def _generation(world: api.World, container: str) -> str:
 
 def ended(beacon: api.BeaconFact, late_s: float) -> bool:
     """Whether the beacon has been silent for so long that other signs of life mean that it was closed."""
-    return silent(beacon, late_s) and beacon.silent_s - late_s > ENDED_S
+    return beacon_silent(beacon, late_s) and beacon.silent_s - late_s > ENDED_S

@@ -6,6 +6,7 @@ import functools
 import re
 
 from phm import api
+from phm_checks._ros_facts import full_name
 from phm_checks._text import last
 
 
@@ -21,7 +22,7 @@ def named_publisher(name: str, settings: api.Settings) -> str:
     before, colon, _ = name.partition(":")
     if not colon:
         return ""
-    nodes = [f"/{api.topic_id(node.name)}" for node in settings.ros.nodes]
+    nodes = [full_name(node.name) for node in settings.ros.nodes]
     found = [node for node in nodes if node.lstrip("/") == before.lstrip("/")] or [
         n for n in nodes if last(n) == before
     ]
@@ -32,5 +33,5 @@ def status_publisher(name: str, settings: api.Settings) -> str:
     """The node of the first entry in `watch` that has one and matches; otherwise as above."""
     for entry in settings.ros.diagnostics.watch:
         if entry.node and name_pattern(entry.name).fullmatch(name):
-            return f"/{api.topic_id(entry.node)}"
+            return full_name(entry.node)
     return named_publisher(name, settings)

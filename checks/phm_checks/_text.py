@@ -6,6 +6,7 @@ Not a check: files in this folder whose names start with an underscore are parts
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 
 from phm import api
 
@@ -56,6 +57,12 @@ def combined(findings: Sequence[api.Result]) -> str:
         return together
     more = f" (+{len(briefs) - 1})"  # not `+1` alone, which a refresh line has for further units
     return f"{first.brief[: BRIEF_MAX - len(more)].rstrip()}{more}"
+
+
+def merged(findings: Sequence[api.Result], values: api.Values) -> api.Result:
+    """The first of the worst findings, with the summaries of all that are not OK and one brief for them."""
+    summary = joined([finding.summary for finding in findings if finding.level is not api.Level.OK])
+    return replace(api.worst(findings), summary=summary, brief=combined(findings), values=values)
 
 
 def last(name: str) -> str:

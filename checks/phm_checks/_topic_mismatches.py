@@ -10,7 +10,6 @@ from phm_checks._endpoint_matching import (
     Matching,
     Pairs,
     all_ends,
-    full,
     needed_end,
     same_definition,
     same_type,
@@ -18,6 +17,7 @@ from phm_checks._endpoint_matching import (
     some,
     who,
 )
+from phm_checks._ros_facts import full_name
 from phm_checks._text import clean, joined
 from phm_checks._topic_results import problem, unit_id
 
@@ -45,7 +45,7 @@ class TopicMismatches:
 
     def _type(self, topic: api.TopicSettings, seen: api.TopicFact, matching: Matching) -> api.Result | None:
         """ERROR if a configured endpoint has the wrong type or a configured pair has different types; WARN for others."""
-        name = full(topic.name)
+        name = full_name(topic.name)
         if topic.type is None:
             types = dict.fromkeys(end.type for _, end in all_ends(seen) if end.type)
             if len(types) < 2:
@@ -90,7 +90,7 @@ class TopicMismatches:
             matching.level_of(found),
             "type_wrong",
             "type versions differ",
-            f"topic {full(topic.name)}: {clean(found[0].publishers[0].type, 80)} is not the same type everywhere. {some(ends)}; build all "
+            f"topic {full_name(topic.name)}: {clean(found[0].publishers[0].type, 80)} is not the same type everywhere. {some(ends)}; build all "
             "endpoints against the same version of its package",
             self._target(topic),
         )
@@ -109,7 +109,7 @@ class TopicMismatches:
             Level.ERROR if needed else Level.WARN,
             "qos_mismatch",
             "QoS mismatch",
-            f"topic {full(topic.name)} does not connect all its endpoints. {joined(words)}"
+            f"topic {full_name(topic.name)} does not connect all its endpoints. {joined(words)}"
             + (f" And {others} more." if others else ""),
             self._home(topic, needed),
         )

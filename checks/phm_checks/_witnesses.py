@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Collection, Hashable, Iterable
 
 from phm import api
-from phm_checks._endpoint_matching import full
 from phm_checks._process_matching import wanted_nodes
+from phm_checks._ros_facts import full_name
 from phm_checks._status_publisher import status_publisher
 
 WITNESSES = 2
@@ -29,8 +29,8 @@ class Arrivals:
         self._settings = settings
         self._nodes = frozenset(node.name for node in wanted_nodes(settings) if node.container == container)
         homes = [entry.ready for entry in settings.containers if entry.key == container]
-        homes += [entry.ready for entry in settings.ros.nodes if full(entry.name) in self._nodes]
-        self._calls = frozenset(full(ready.call) for ready in homes if ready is not None and ready.call)
+        homes += [entry.ready for entry in settings.ros.nodes if full_name(entry.name) in self._nodes]
+        self._calls = frozenset(full_name(ready.call) for ready in homes if ready is not None and ready.call)
 
     def newest_s(self, fact: api.RosFact, others: Collection[str] = ()) -> float:
         """Seconds since the newest of them, without the delay of the snapshot; infinite if there is none. others: more nodes of the

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 from phm import api
 from phm.api import Layer, Slot
-from phm_checks._text import brief, clean, combined, joined, listed, span
+from phm_checks._text import brief, clean, listed, merged, span
 
 REPORT_S = 12.0
 """An interruption is over when it is detected. It is reported for so long that one refresh of the status, every 10 s,
@@ -30,9 +30,7 @@ class Companion(api.Check):
         values: dict[str, api.Value] = {"uptime_s": round(facts.uptime_s, 1), "ros_restarts": facts.ros_restarts}
         if not bad:
             return api.ok("Companion Computer is running aboard agent", values=values)
-        first = api.worst(bad)
-        summary = joined([finding.summary for finding in bad])
-        return api.Result(first.level, summary, combined(bad), first.condition, values=values)
+        return merged(bad, values)
 
     @staticmethod
     def _own(facts: api.SelfFact) -> list[api.Result]:

@@ -14,10 +14,9 @@ from phm.api import Layer, Level, Slot
 from phm_checks._lost_publishers import SETTLE_S as LOST_SETTLE_S, Connection, LostPublishers, connections
 from phm_checks._node_consensus import PHM, Agreement, Opinion, Verdict, agree
 from phm_checks._quorum import SETTLE_S as QUORUM_SETTLE_S, DeadNodes, ReceivedBefore, ended, received_by_others
+from phm_checks._ros_facts import OLD_SNAPSHOT_S, full_name
 from phm_checks._text import brief, last, listed, span
 
-OLD_SNAPSHOT_S = 5.0
-"""Older snapshots of the graph are not evaluated."""
 FORGET_S = 60.0
 """A beacon silent for longer is ignored: its node was changed, or its beacon closed."""
 LOST_S = 10.0
@@ -42,8 +41,8 @@ class Consensus(api.Check):
 
     def __init__(self, settings: api.Settings) -> None:
         self._grace_s = settings.ros.grace
-        self._nodes = [f"/{api.topic_id(node.name)}" for node in settings.ros.nodes]
-        self._required = [f"/{api.topic_id(node.name)}" for node in settings.ros.nodes if node.beacon == "required"]
+        self._nodes = [full_name(node.name) for node in settings.ros.nodes]
+        self._required = [full_name(node.name) for node in settings.ros.nodes if node.beacon == "required"]
         self._open_faults = settings.ros.consensus.open_faults
         self._known: set[str] = set()
         """Nodes whose beacon PHM has received."""

@@ -6,7 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from phm import api
 from phm.api import Layer, Slot
-from phm_checks._readiness import Requirements, Subject, snapshot
+from phm_checks._readiness import Requirements, Subject
+from phm_checks._ros_facts import snapshot
 
 REMEDY = "Check the log of the container"
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from phm import api
 from phm.api import Layer, Level, Slot
-from phm_checks._endpoint_matching import full
+from phm_checks._ros_facts import full_name
 from phm_checks._text import StableNumber, brief, clean, joined, last, listed, span
 
 SETTLE_S = 2.0
@@ -53,7 +53,7 @@ class Data(api.Check):
                 target=settings.container_of_topic(topic),
                 grace_s=settings.ros.grace,
                 memory_s=(settings.ros.silence if topic.silence is None else topic.silence) + MEASURED_S,
-                node=next(map(full, topic.publishers), ""),
+                node=next(map(full_name, topic.publishers), ""),
             )
             for topic in topics
         ]

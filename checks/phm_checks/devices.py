@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from phm import api
 from phm.api import Slot
 from phm_checks._per_container import PerContainer
-from phm_checks._text import brief, clean, combined, joined, last, listed
+from phm_checks._text import brief, clean, joined, last, listed, merged
 
 _SERIAL_MAJORS = frozenset({166, 188, 204})
 """ttyACM, ttyUSB and the UARTs of ARM boards, from the kernel's devices.txt; ttyS is 4 from minor 64 on."""
@@ -80,12 +80,8 @@ class Devices(PerContainer):
             unknown = tuple(name for finding in findings for name in finding.evidence.unobserved_of)
             found = api.ok(f"Found {count} in container {self.key}: {said}", values=values)
             return found.with_evidence(api.Evidence(unobserved_of=unknown))
-        summary = joined([finding.summary for finding in findings if finding.level is not api.Level.OK])
         lost = tuple(name for finding in findings for name in finding.evidence.subjects or ())
-        evidence = api.Evidence(subjects=lost or None)
-        return api.Result(
-            first.level, summary, combined(findings), first.condition, first.target, values, evidence=evidence
-        )
+        return merged(findings, values).with_evidence(api.Evidence(subjects=lost or None))
 
     def _container(self, world: api.World) -> tuple[api.ContainerFact | None, str]:
         """The container, or None and why its mapping cannot be checked."""

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 
 from phm import api
 from phm.api import Layer, Level, Slot
+from phm_checks._ros_facts import full_name, snapshot
 from phm_checks._status_publisher import name_pattern, named_publisher
 from phm_checks._text import brief, clean, did_you_mean, listed, span
 
-OLD_SNAPSHOT_S = 5.0
-"""Older snapshots of the ROS child process are not evaluated."""
 SETTLE_S = 1.5
 """Statuses come once a second by convention: a status that the next message corrects is not reported."""
 GENERATION_S = 10.0
@@ -72,7 +71,7 @@ class Diagnostics(api.Check):
     def build(cls, settings: api.Settings) -> Iterable[api.Check]:
         watched = []
         for entry in settings.ros.diagnostics.watch:
-            node = f"/{api.topic_id(entry.node)}" if entry.node else named_publisher(entry.name, settings)
+            node = full_name(entry.node) if entry.node else named_publisher(entry.name, settings)
             container = entry.container or settings.container_of_node(node)
             watched.append(Watched(entry, container, node))
         return [cls(watched, settings.ros.grace)] if watched else []
@@ -89,12 +88,9 @@ class Diagnostics(api.Check):
     def run(self, world: api.World) -> Mapping[str, api.Result]:
         """A result for each unit; STALE for all without recent data from the ROS child process."""
         try:
-            fact = world.ros.snapshot()
+            fact = snapshot(world)
         except api.CannotTell as reason:
             return {item.unit: api.stale(str(reason)) for item in self._watched}
-        if fact.age_s > OLD_SNAPSHOT_S:
-            words = f"the ROS child process has sent nothing for {span(fact.age_s)}, too old to evaluate"
-            return {item.unit: api.stale(words) for item in self._watched}
         return {item.unit: self._judge(world, item, fact) for item in self._watched}
 
     def _as_unit(self, item: Watched) -> api.Unit:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from phm import api
 from phm.api import Slot
 from phm_checks._per_container import PerContainer
-from phm_checks._text import brief, clean, combined, ending, joined, last, listed
+from phm_checks._text import brief, clean, ending, last, listed, merged
 
 SETTLE_S = 0.2
 """Programs that replace a file often remove the old one first; the check runs on each change in a volume."""
@@ -56,8 +55,7 @@ class Files(PerContainer):
                 for path in self._alone
             ]
             return api.ok("; ".join([f"File check passed: {paths}", *notes]), values=values)
-        summary = joined([finding.summary for finding in findings if finding.level is not api.Level.OK])
-        return replace(first, summary=summary, brief=combined(findings), values=values)
+        return merged(findings, values)
 
     def _judge(self, world: api.World, wanted: api.FileSettings) -> api.Result:
         where = f"{wanted.path} in {self.key}"

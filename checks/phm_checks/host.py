@@ -11,10 +11,8 @@ from phm_checks._cpu import Cpu
 from phm_checks._host_pressure import HostPressure
 from phm_checks._limit_forecast import LimitForecast
 from phm_checks._recent_throttling import RecentThrottling
-from phm_checks._text import StableNumber, brief, clean, combined, joined, listed, span
+from phm_checks._text import StableNumber, brief, clean, joined, listed, merged, span
 from phm_checks._threshold import Threshold
-
-__all__ = ["STEP_REPORT_S", "Host", "Threshold"]
 
 STEP_REPORT_S = 30.0
 """A clock jump shows in one reading; it is reported for this long so that operators see it."""
@@ -111,9 +109,7 @@ class Host(api.Check):
         rising = api.Evidence(rising=self._memory_stalls.rising and stalled is None)
         if not findings:
             return api.ok(f"Memory at {used:.0f} %", values=values).with_evidence(rising)
-        first = api.worst(findings).with_evidence(rising)
-        summary = joined([finding.summary for finding in findings])
-        return replace(first, summary=summary, brief=combined(findings), values=values)
+        return merged(findings, values).with_evidence(rising)
 
     def _judge_memory_stalls(self, fact: api.HostFact, now: float) -> api.Result | None:
         level, mean = self._memory_stalls.judge(fact.memory_stalled_percent, now)
@@ -159,8 +155,7 @@ class Host(api.Check):
             values.update(finding.values)
         if first.level is Level.OK:
             return api.ok(joined([finding.summary for finding in findings]), values=values)
-        summary = joined([finding.summary for finding in findings if finding.level is not Level.OK])
-        return api.Result(first.level, summary, combined(findings), first.condition, first.target, values)
+        return merged(findings, values)
 
     def _judge_disk(self, disk: api.DiskFact, now: float) -> api.Result:
         path = clean(disk.path, 80)
@@ -218,9 +213,7 @@ class Host(api.Check):
         if recent:
             findings.append(self._bad(Level.WARN, _throttled(fact, recent), recent[0], "throttled", values))
         if findings:
-            first = api.worst(findings)
-            summary = joined([finding.summary for finding in findings])
-            return api.Result(first.level, summary, combined(findings), first.condition, values=values)
+            return merged(findings, values)
         heat = "Temperature not reported" if fact.temperature_c is None else f"Temperature {fact.temperature_c:.0f} C"
         earlier = f", {listed(fact.throttled)}" if fact.throttled else ""
         return api.ok(f"{heat}{earlier}", values=values)

@@ -19,7 +19,7 @@ from phm_checks._command_path import (
     target_of,
     ways,
 )
-from phm_checks._text import StableNumber, brief, clean, combined, joined, last, listed, span
+from phm_checks._text import StableNumber, brief, clean, last, listed, merged, span
 
 SETTLE_S = 2.0
 """A port or connection that reopens within this time is not reported: a USB autopilot disappears briefly when it reboots."""
@@ -98,12 +98,7 @@ class Link(api.Check):
             self._loss.forget("loss")
             self._silence.forget("silence")
             return api.ok(f"MAVLink endpoint {clean(link.name, 80)} is open{_traffic(link)}", values=values)
-        first = api.worst(findings)
-        words = joined([finding.summary for finding in findings])
-        evidence = api.Evidence(recovered=self._was <= _WORKS)
-        return api.Result(
-            first.level, words, combined(findings), first.condition, first.target, values, evidence=evidence
-        )
+        return merged(findings, values).with_evidence(api.Evidence(recovered=self._was <= _WORKS))
 
     # ------------------------------------------------------------ closed
 

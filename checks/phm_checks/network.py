@@ -10,7 +10,7 @@ from phm.api import Slot
 from phm_checks._data_path import DataPath
 from phm_checks._environment_advice import advice
 from phm_checks._per_container import PerContainer
-from phm_checks._text import brief, clean, combined, joined, listed
+from phm_checks._text import brief, clean, joined, listed, merged
 
 _BY_CAUSE = ("network_missing", "no_network", "disconnected", "sidecar_disconnected", "address_silent")
 """Causes before consequences: the first of these found is the condition of the unit."""
@@ -69,11 +69,7 @@ class Network(PerContainer):
         )
         values: dict[str, api.Value] = {"networks": len(findings), "networks_bad": len(bad)}
         if bad:
-            summary = joined([finding.summary for finding in bad])
-            first = bad[0]
-            return api.Result(
-                first.level, summary, combined(bad), first.condition, self.key, values, evidence=first.evidence
-            )
+            return merged(bad, values)
         if (blocked := self._blocked(world, fact)) is not None:
             return blocked
         found = api.ok(joined([finding.summary for finding in findings]), values=values)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 from phm import api
 from phm.api import Layer, Level, Slot
-from phm_checks._endpoint_matching import full
-from phm_checks._readiness import Requirements, Subject, snapshot
+from phm_checks._readiness import Requirements, Subject
+from phm_checks._ros_facts import full_name, snapshot
 from phm_checks._text import clean
 
 STARTING = frozenset({"unconfigured", "configuring"})
@@ -41,7 +41,7 @@ class NodeReady(api.Check):
         self._subjects: dict[str, Subject] = {}
         self._states: dict[str, str | None] = {}
         for entry in settings.ros.nodes:
-            node = full(entry.name)
+            node = full_name(entry.name)
             if entry.ready is not None:
                 unit = f"{self.name}/{api.topic_id(node)}"
                 self._subjects[node] = Subject(unit, f"node {node}", entry.ready, settings.container_of_node(node))

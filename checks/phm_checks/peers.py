@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from phm import api
 from phm.api import Layer, Level, Slot
-from phm_checks._text import brief, combined, joined, span
+from phm_checks._text import brief, merged, span
 
 GRACE_S = 30.0
 """Agents are switched on one after another: a missing agent is not reported so soon after PHM's start."""
@@ -65,11 +65,9 @@ class Peers(api.Check):
         if fact.unlisted:
             values["not_listed"] = _names(fact.unlisted)
         if found:
-            first = api.worst(found)
-            words = joined([result.summary for result in found])
+            result = merged(found, values)
             lost = self._subjects(agent for agent, peer in fact.peers.items() if peer.state == "lost")
-            evidence = replace(first.evidence, subjects=lost)
-            return api.Result(first.level, words, combined(found), first.condition, values=values, evidence=evidence)
+            return result.with_evidence(replace(result.evidence, subjects=lost))
         if not fact.peers:
             words = "no heartbeat from another agent received, and none is configured (swarm.agents)"
             return api.bypass(words, values=values).with_evidence(api.Evidence(unobserved=True))

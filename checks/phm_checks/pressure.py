@@ -12,7 +12,7 @@ from phm_checks._growing_process import GrowingProcess
 from phm_checks._limit_forecast import LimitForecast
 from phm_checks._per_container import PerContainer
 from phm_checks._pressure_window import PressureDelta, PressureWindow
-from phm_checks._text import StableNumber, brief, combined, joined
+from phm_checks._text import StableNumber, brief, merged
 from phm_checks._window_threshold import WindowThreshold
 
 NEWEST_S = 0.9
@@ -79,7 +79,7 @@ class Pressure(PerContainer):
         over = self._window.over(self._limits.window)
         newest = self._window.over(NEWEST_S)
         if over is None or newest is None:
-            return api.stale(f"resource pressure of {self.key} needs a second reading", brief="")
+            return api.stale(f"resource pressure of {self.key} needs a second reading")
         return self._judge(world, fact, over, newest)
 
     def _judge(
@@ -105,9 +105,7 @@ class Pressure(PerContainer):
                 f"{self.key} has enough CPU, memory and I/O ({fact.source}{_not_seen(fact)})", values=values
             )
             return result.with_evidence(api.Evidence(rising=self._above(newest)))
-        first = api.worst(findings)
-        summary = joined([finding.summary for finding in findings])
-        return replace(first, summary=summary, brief=combined(findings), values=values)
+        return merged(findings, values)
 
     def _above(self, newest: PressureDelta) -> bool:
         """Whether the newest second alone is above a limit."""

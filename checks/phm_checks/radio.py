@@ -8,7 +8,7 @@ from phm import api
 from phm.api import Layer, Slot
 from phm_checks._command_path import link_id, link_of, named, radio_id, silent, starting, target_of, with_radio
 from phm_checks._limit_forecast import LimitForecast
-from phm_checks._text import StableNumber, brief, combined, joined, span
+from phm_checks._text import StableNumber, brief, merged, span
 
 PERIODS = 2.5
 """A radio is silent after this many of its own periods: SiK responds to PHM's heartbeats, which may be 10 s apart."""
@@ -96,10 +96,7 @@ class Radio(api.Check):
             self._margin.forget("margin")
             alone = "; it receives nothing from the remote radio" if fact.alone else ""
             return api.ok(f"last RADIO_STATUS {span(fact.age_s)} ago{_margin_words(fact)}{alone}", values=values)
-        first = findings[0]
-        words = joined([finding.summary for finding in findings])
-        weak = api.warn(words, brief=combined(findings), condition=first.condition, values=values)
-        return weak.with_evidence(api.Evidence(recovered=True))  # it responds
+        return merged(findings, values).with_evidence(api.Evidence(recovered=True))  # it responds
 
     def _weak(self, fact: api.RadioFact) -> list[api.Result]:
         limit = self._limits.radio_margin + (EASE_MARGIN if "radio_weak" in self._was else 0.0)

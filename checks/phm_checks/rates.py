@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from phm import api
 from phm.api import Layer, Level, Slot
-from phm_checks._endpoint_matching import full
 from phm_checks._environment_advice import advice
 from phm_checks._limit_forecast import LimitForecast
 from phm_checks._node_activity import FRESH_S, ran_s, turned_s
+from phm_checks._ros_facts import full_name, is_large
 from phm_checks._text import StableNumber, brief, clean, last, span
 from phm_checks._witnesses import WITNESSES, Arrivals, Causes, expected, independent
 
@@ -21,9 +21,6 @@ SETTLE_S = 2.0
 GAP_PERIODS = 5
 """A topic whose node is known to be alive is not reported as silent before this many periods, or SETTLE_S after its limit if
 that is sooner."""
-LARGE_BPS = 0.8e6
-"""Topics with more bytes per second are sampled with pauses (`phm.probes.ros.rates.topic_monitor`), so the time at which
-one fell silent is not known."""
 STAY = 0.9
 """Hysteresis: a level ends only when the deviation is below this share of its limit."""
 MEASURED_S = 1.0
@@ -59,7 +56,7 @@ class _Case:
     topic: api.TopicSettings
     rate: float
     target: str
-    values: Mapping[str, api.Value] = field(default_factory=dict)
+    values: Mapping[str, api.Value]
 
     @property
     def name(self) -> str:
@@ -102,7 +99,7 @@ class Rates(api.Check):
                 settle_s=SETTLE_S,
                 grace_s=settings.ros.grace,
                 memory_s=_limit_s(topic, settings.ros.silence) + MEASURED_S,
-                node=next(map(full, topic.publishers), ""),
+                node=next(map(full_name, topic.publishers), ""),
             )
             for topic in topics
         ]
@@ -125,7 +122,7 @@ class Rates(api.Check):
             return {_unit(topic): api.stale(str(reason)) for topic in self._topics}
         results = {}
         for topic in self._topics:
-            seen = fact.topics.get(f"/{api.topic_id(topic.name)}", api.TopicFact())
+            seen = fact.topics.get(full_name(topic.name), api.TopicFact())
             memory = self._memory[topic.name]
             if seen.publishers != memory.listed:
                 memory.listed, memory.listed_from = seen.publishers, world.clock.mono()
@@ -169,7 +166,8 @@ class Rates(api.Check):
             )
         limit_s = seen.rate.limit_s
         limit = "" if limit_s is None else f" and no gap over {span(limit_s)}"
-        known = (seen.rate.sample_bytes or 0.0) * case.rate <= LARGE_BPS
+        # The time at which a topic that is sampled with pauses fell silent is not known.
+        known = not is_large(seen.rate, case.rate)
         due_s = max(silent_s, seen.rate.age_s or 0.0) - 1 / case.rate
         turns = known and _all_turned(seen, fact, due_s)
         why = (
@@ -267,7 +265,7 @@ class Rates(api.Check):
         """The nodes of this container whose samples are due, if none of them was received; else the empty set."""
         nodes: set[str] = set()
         for topic in self._topics:
-            seen = fact.topics.get(f"/{api.topic_id(topic.name)}", api.TopicFact())
+            seen = fact.topics.get(full_name(topic.name), api.TopicFact())
             if self._targets[_unit(topic)] != target:
                 continue
             if seen.rate is not None and seen.rate.silent_s is not None:
@@ -333,7 +331,7 @@ class Rates(api.Check):
         if seen.rate is None or seen.rate.changed_s is None:
             return False
         nodes = _nodes(seen)
-        topics = (fact.topics.get(f"/{api.topic_id(topic.name)}", api.TopicFact()) for topic in self._topics)
+        topics = (fact.topics.get(full_name(topic.name), api.TopicFact()) for topic in self._topics)
         others = (topic.rate for topic in topics if topic.rate is not None and nodes.isdisjoint(_nodes(topic)))
         if any(other.changed_s is not None or other.hz == 0.0 for other in others):
             return False

@@ -8,17 +8,16 @@ from dataclasses import replace
 from phm import api
 from phm.api import Layer, Level, Slot
 from phm_checks._endpoint_history import EndpointHistory, Key
-from phm_checks._endpoint_matching import SHOWN, full, named_sides
+from phm_checks._endpoint_matching import SHOWN, named_sides
 from phm_checks._graph_gaps import GraphGaps
 from phm_checks._node_activity import all_alive
 from phm_checks._on_demand import OTHERS_S, Use, on_demand, use_of_output
+from phm_checks._ros_facts import full_name, graph_snapshot
 from phm_checks._similar_names import sentence, similar_names
 from phm_checks._text import did_you_mean, joined, last, listed, span
 from phm_checks._topic_mismatches import TopicMismatches
 from phm_checks._topic_results import numbers, problem, unit_id
 
-OLD_SNAPSHOT_S = 5.0
-"""Older snapshots of the graph are not evaluated."""
 SETTLE_S = 1.5
 """Endpoints of a terminating node may leave the graph so much earlier than the node is known to be dead."""
 SURE_S = 0.2
@@ -74,10 +73,10 @@ class Topics(api.Check):
                     target=key,
                     settle_s=SETTLE_S,
                     grace_s=settings.ros.grace,
-                    node=next(map(full, topic.publishers), ""),
+                    node=next(map(full_name, topic.publishers), ""),
                 )
             )
-        named = {full(node) for topic in topics for node in (*topic.publishers, *topic.subscribers)}
+        named = {full_name(node) for topic in topics for node in (*topic.publishers, *topic.subscribers)}
         homes = {node: settings.container_of_node(node) for node in named}
         return [cls(topics, units, settings.ros.grace, homes)] if topics else []
 
@@ -92,18 +91,15 @@ class Topics(api.Check):
     def run(self, world: api.World) -> Mapping[str, api.Result]:
         """A result for each topic; STALE for all without a recent graph snapshot."""
         try:
-            fact = world.ros.snapshot()
+            fact = graph_snapshot(world)
         except api.CannotTell as reason:
             return {unit_id(topic): api.stale(str(reason)) for topic in self._topics}
-        if fact.age_s > OLD_SNAPSHOT_S:
-            words = f"the newest ROS graph snapshot is {span(fact.age_s)} old, too old to evaluate"
-            return {unit_id(topic): api.stale(words) for topic in self._topics}
         now = world.clock.mono()
         return {unit_id(topic): self._judge(topic, fact, now) for topic in self._topics}
 
     def _judge(self, topic: api.TopicSettings, fact: api.RosFact, now: float) -> api.Result:
         """A missing endpoint first, then the worst of: type, QoS, similar name."""
-        seen = fact.topics.get(full(topic.name), api.TopicFact())
+        seen = fact.topics.get(full_name(topic.name), api.TopicFact())
         unknown = self._gaps.judge(topic, seen, now)
         if unknown is not None:
             return unknown
@@ -115,7 +111,7 @@ class Topics(api.Check):
                 )
             self._failed[topic.name] = missing.condition
             before = self._mismatched.get(topic.name)
-            return before if before is not None and self._ends.being_recreated(full(topic.name), now) else missing
+            return before if before is not None and self._ends.being_recreated(full_name(topic.name), now) else missing
         self._mismatched.pop(topic.name, None)
         result = self._connected(topic, seen, fact, now)
         # Whatever was missing is there; the same condition at a lower level is the same measurement.
@@ -144,7 +140,7 @@ class Topics(api.Check):
         self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact, now: float
     ) -> api.Result | None:
         """The first of: endpoint closed, topic missing, publisher missing, subscriber missing; last, a subscriber that is not needed now."""
-        name = full(topic.name)
+        name = full_name(topic.name)
         # All of them in each run, which keeps the history of the endpoints.
         lost = [key for side in named_sides(topic, seen) for key in self._lost(name, *side, fact, now)]
         idle = [key for key in lost if key[1] == "subscriber" and use_of_output(key[2], fact) is Use.NONE]
@@ -193,7 +189,7 @@ class Topics(api.Check):
             Level.ERROR,
             "topic_missing",
             "missing",
-            f"topic {full(topic.name)} does not exist, expected a publisher: check that its node is running and how it is remapped."
+            f"topic {full_name(topic.name)} does not exist, expected a publisher: check that its node is running and how it is remapped."
             f"{_hint(topic, fact, (*topic.publishers, *topic.subscribers), absent=True)}",
             self._target(topic),
         )
@@ -204,7 +200,7 @@ class Topics(api.Check):
         """free: subscribers that need not be there now."""
         for kind, wanted, there in named_sides(topic, seen):
             names = {end.node for end in there}
-            needed = [full(node) for node in wanted if kind == "publisher" or full(node) not in free]
+            needed = [node for node in map(full_name, wanted) if kind == "publisher" or node not in free]
             lacking = [node for node in needed if node not in names]
             if lacking:
                 hint = _hint(topic, fact, lacking) or did_you_mean(lacking[0], names)
@@ -215,7 +211,7 @@ class Topics(api.Check):
                     Level.ERROR,
                     f"{kind}_missing",
                     f"lost {kind} {last(lacking[0])}"[:30],
-                    f"topic {full(topic.name)} lacks its {kind} {listed(lacking)}{others}: check that node's topic names and remappings."
+                    f"topic {full_name(topic.name)} lacks its {kind} {listed(lacking)}{others}: check that node's topic names and remappings."
                     f"{hint}",
                     self._target(topic),
                 )
@@ -230,7 +226,7 @@ class Topics(api.Check):
             Level.ERROR,
             "publisher_missing",
             "has no publisher",
-            f"topic {full(topic.name)} has no publisher, expected one: check that its node is running and how it is remapped."
+            f"topic {full_name(topic.name)} has no publisher, expected one: check that its node is running and how it is remapped."
             f"{_hint(topic, fact, ())}",
             self._target(topic),
         )
@@ -246,7 +242,7 @@ class Topics(api.Check):
     ) -> list[Key]:
         """Configured endpoints that existed earlier and whose node still runs."""
         names = {end.node for end in there}
-        keys = [(name, kind, node) for node in map(full, wanted)]
+        keys = [(name, kind, node) for node in map(full_name, wanted)]
         return [
             key
             for key in keys
@@ -255,7 +251,7 @@ class Topics(api.Check):
 
     def _unfed(self, topic: api.TopicSettings, seen: api.TopicFact, fact: api.RosFact, now: float) -> list[api.Result]:
         """WARN for a subscription without a publisher on a similar name: most likely a misspelling of this topic."""
-        name = full(topic.name)
+        name = full_name(topic.name)
         found = [stray for stray in similar_names(name, fact.others) if stray.sure and stray.unfed]
         since = self._stray_since.setdefault(name, now) if found else self._stray_since.pop(name, now)
         if not found or now - since < STRAY_S or fact.up_s < self._grace_s:
@@ -283,9 +279,9 @@ def _hint(topic: api.TopicSettings, fact: api.RosFact, lacking: Iterable[str], *
 
     `absent`: the configured name does not exist in the graph, so every similar name is mentioned.
     """
-    name = full(topic.name)
+    name = full_name(topic.name)
     similar = similar_names(name, fact.others)
-    theirs = [stray for stray in similar if stray.used_by([full(node) for node in lacking])]
+    theirs = [stray for stray in similar if stray.used_by([full_name(node) for node in lacking])]
     likely = theirs or [stray for stray in similar if absent or (stray.sure and stray.one_sided)]
     return "".join(f" {sentence(name, stray)}" for stray in likely[:SHOWN])
 

@@ -18,6 +18,7 @@ from phm_checks import (
     _endpoint_history,
     _graph_evidence,
     _node_activity,
+    _node_record,
     _process_table,
     container,
     files,
@@ -91,7 +92,7 @@ _LOG = (
 )
 _AGAIN = f"PHM asks the engine about the container, and again before it reports, at the latest {ASK_AGAIN_S:g} s later"
 _FILE = f"it must last {files.SETTLE_S:g} s, as programs replace a file by another, and be found again, at the latest {ASK_AGAIN_S:g} s later"
-_DUPLICATE = f"a restarted node may overlap with the old one for {nodes.BOTH_S:g} s, unless both send beacons"
+_DUPLICATE = f"a restarted node may overlap with the old one for {_node_record.BOTH_S:g} s, unless both send beacons"
 _REMOVAL = (
     f"its end by SIGKILL may be the beginning of `docker rm -f`: PHM waits {manual_stop.REMOVED_S:g} s for what follows, and "
     f"asks the engine again before it reports, at the latest {ASK_AGAIN_S:g} s later"
@@ -166,7 +167,7 @@ WAITS = {
     "network_disconnected": Wait(_AGAIN, ASK_AGAIN_S),
     "network_lost_together": Wait(_AGAIN, ASK_AGAIN_S),
     "network_recreated": Wait(_AGAIN, ASK_AGAIN_S),
-    "node_duplicate": Wait(_DUPLICATE, nodes.BOTH_S + SNAPSHOTS_S),
+    "node_duplicate": Wait(_DUPLICATE, _node_record.BOTH_S + SNAPSHOTS_S),
     "node_never_started": Wait(_LEFT_OUT, _process_table.LATER + 1.0 + _process_table.SOON_S),
     "node_killed": Wait(_PROCESS, _PROCESS_S),
     "node_stopped": Wait(_PROCESS, _PROCESS_S),

@@ -7,7 +7,8 @@ from typing import Any
 import pytest
 
 from phm import api, testing
-from phm_checks.host import FIRST_SET_S, STEP_REPORT_S, THROTTLE_REPORT_S, Host, Threshold
+from phm_checks._threshold import Threshold
+from phm_checks.host import FIRST_SET_S, STEP_REPORT_S, THROTTLE_REPORT_S, Host
 
 
 class Bench:

@@ -9,7 +9,7 @@ from random import Random
 import pytest
 
 from phm.tracker.rules import UNKNOWN_NEED_S
-from phm_checks._evidence import Evidence, Kind, Observation
+from phm_checks._evidence import EvidencePiece, Kind, Observation
 from phm_checks._liveness import (
     BARE_S,
     BLIND_HANG_S,
@@ -26,8 +26,8 @@ from phm_checks._liveness import (
 )
 
 
-def piece(kind: Kind, says: Observation, lasted_s: float = 0.0, age_s: float = 0.1) -> Evidence:
-    return Evidence(kind, says, f"{kind.name.lower()} {says.value}", age_s, lasted_s)
+def piece(kind: Kind, says: Observation, lasted_s: float = 0.0, age_s: float = 0.1) -> EvidencePiece:
+    return EvidencePiece(kind, says, f"{kind.name.lower()} {says.value}", age_s, lasted_s)
 
 
 LISTED = piece(Kind.NAME, Observation.ALIVE)
@@ -44,7 +44,7 @@ SILENT = piece(Kind.TOPICS, Observation.SILENT, lasted_s=20.0)
 NO_HISTORY = NodeHistory()
 
 
-def state(*evidence: Evidence, past: NodeHistory = NO_HISTORY) -> NodeState:
+def state(*evidence: EvidencePiece, past: NodeHistory = NO_HISTORY) -> NodeState:
     return judge_node(evidence, past).state
 
 
@@ -77,7 +77,7 @@ SIGNS = [BEACON_ALIVE, TOPICS_ACTIVE, piece(Kind.BEACON, Observation.LATE, age_s
 
 @pytest.mark.parametrize("sign", SIGNS)
 @pytest.mark.parametrize("says", [Observation.GONE, Observation.STOPPED])
-def test_a_sign_of_life_newer_than_the_process_list_contradicts_it(sign: Evidence, says: Observation) -> None:
+def test_a_sign_of_life_newer_than_the_process_list_contradicts_it(sign: EvidencePiece, says: Observation) -> None:
     """The node was restarted as another process, or resumed since."""
     overdue = replace(sign, overdue=True)
     older, same = piece(Kind.PROCESS, says, age_s=1.0), piece(Kind.PROCESS, says, age_s=0.2)
@@ -88,7 +88,7 @@ def test_a_sign_of_life_newer_than_the_process_list_contradicts_it(sign: Evidenc
 @pytest.mark.parametrize("sign", SIGNS)
 @pytest.mark.parametrize("says", [Observation.GONE, Observation.STOPPED])
 def test_a_listed_node_whose_next_message_is_not_late_may_have_another_process(
-    sign: Evidence, says: Observation
+    sign: EvidencePiece, says: Observation
 ) -> None:
     """What ended or is stopped may be a tool with its name. Without its name in the graph, or when its beacon is late, it counts."""
     found = piece(Kind.PROCESS, says, age_s=0.2)
@@ -99,7 +99,7 @@ def test_a_listed_node_whose_next_message_is_not_late_may_have_another_process(
 
 
 @pytest.mark.parametrize("sign", SIGNS)
-def test_an_ended_process_is_disproved_by_messages_that_are_certainly_newer(sign: Evidence) -> None:
+def test_an_ended_process_is_disproved_by_messages_that_are_certainly_newer(sign: EvidencePiece) -> None:
     """Later than any message of the process may arrive; a stopped process may have been resumed."""
     assert disproved([piece(Kind.PROCESS, Observation.GONE, lasted_s=DISPROVED_S + 0.2), sign])
     assert not disproved([piece(Kind.PROCESS, Observation.GONE, lasted_s=DISPROVED_S), sign])
@@ -144,7 +144,7 @@ def test_a_silent_beacon_without_a_known_process_is_a_dead_node() -> None:
 def test_a_blocked_executor_is_hung_if_its_process_sleeps() -> None:
     """Slow is not hung: it has HANG_S, and longer if it is unknown whether it computes."""
 
-    def late(lasted_s: float) -> Evidence:
+    def late(lasted_s: float) -> EvidencePiece:
         return piece(Kind.BEACON, Observation.LATE, lasted_s)
 
     assert state(late(2.0), RUNS, LISTED) is NodeState.UNKNOWN
@@ -160,7 +160,7 @@ def test_a_blocked_executor_without_data_is_reported_before_it_is_hung() -> None
     beside use of the CPU, may be a short delay."""
     late, overdue = piece(Kind.BEACON, Observation.LATE, 1.6), replace(SILENT, overdue=True, lasted_s=1.2)
     unmeasured, idle = (
-        Evidence(Kind.PROCESS, Observation.ALIVE, "runs", 0.1, measured=False),
+        EvidencePiece(Kind.PROCESS, Observation.ALIVE, "runs", 0.1, measured=False),
         replace(RUNS, lasted_s=1.6),
     )
     assert state(late, overdue, idle, LISTED) is NodeState.BLOCKED
@@ -177,7 +177,7 @@ def test_a_blocked_executor_without_data_is_reported_before_it_is_hung() -> None
 @pytest.mark.parametrize("says", [Observation.LATE, Observation.SILENT])
 def test_a_node_that_may_be_busy_is_not_hung(says: Observation) -> None:
     """Its process runs and may be computing: a restart would hit a busy node."""
-    unmeasured = Evidence(Kind.PROCESS, Observation.ALIVE, "runs", 0.1, measured=False)
+    unmeasured = EvidencePiece(Kind.PROCESS, Observation.ALIVE, "runs", 0.1, measured=False)
     contained = NodeHistory(contained=True)
     assert state(piece(Kind.BEACON, says, HANG_S), unmeasured, LISTED, past=contained) is NodeState.UNKNOWN
     assert state(piece(Kind.BEACON, says, 600.0), unmeasured, LISTED, past=contained) is NodeState.UNANSWERING
@@ -197,9 +197,11 @@ def test_a_node_without_list_beacon_and_data_does_not_answer_before_its_topics_a
     its process is listed, its executor is only late, or its data stopped later.
     """
     blind = NodeHistory(contained=True, unlisted=True)
-    unmeasured = Evidence(Kind.PROCESS, Observation.ALIVE, "runs", 0.1, measured=False)
+    unmeasured = EvidencePiece(Kind.PROCESS, Observation.ALIVE, "runs", 0.1, measured=False)
 
-    def after(beacon_s: float, topics_s: float, *more: Evidence, says: Observation = Observation.SILENT) -> NodeState:
+    def after(
+        beacon_s: float, topics_s: float, *more: EvidencePiece, says: Observation = Observation.SILENT
+    ) -> NodeState:
         topics = piece(Kind.TOPICS, Observation.SILENT, topics_s)
         return state(piece(Kind.BEACON, says, beacon_s), topics, LISTED, *more, past=blind)
 
@@ -212,7 +214,7 @@ def test_a_node_without_list_beacon_and_data_does_not_answer_before_its_topics_a
 
 
 @pytest.mark.parametrize("sign", [BEACON_ALIVE, TOPICS_ACTIVE])
-def test_a_node_with_signs_of_life_is_alive_regardless_of_the_graph(sign: Evidence) -> None:
+def test_a_node_with_signs_of_life_is_alive_regardless_of_the_graph(sign: EvidencePiece) -> None:
     """The snapshot of the graph may be outdated."""
     assert state(sign, UNLISTED) is NodeState.ALIVE
 
@@ -226,7 +228,7 @@ def test_a_name_that_left_the_graph_is_dead_or_never_started() -> None:
 def test_a_name_that_left_the_graph_while_its_process_runs_gets_time() -> None:
     """An overloaded machine loses leases, and a computing node loses its lease first."""
 
-    def gone(lasted_s: float) -> Evidence:
+    def gone(lasted_s: float) -> EvidencePiece:
         return piece(Kind.NAME, Observation.GONE, lasted_s)
 
     assert state(gone(1.0), RUNS) is NodeState.UNKNOWN
@@ -243,7 +245,7 @@ def test_a_starting_node_is_unknown() -> None:
 def test_a_name_without_its_endpoints_is_not_alive() -> None:
     """If its process is known to run, its topics are reported, not the node."""
 
-    def bare(lasted_s: float) -> Evidence:
+    def bare(lasted_s: float) -> EvidencePiece:
         return piece(Kind.ENDPOINTS, Observation.GONE, lasted_s)
 
     assert state(bare(0.5), LISTED) is NodeState.UNKNOWN
@@ -253,7 +255,7 @@ def test_a_name_without_its_endpoints_is_not_alive() -> None:
 
 
 @pytest.mark.parametrize("process", [(), (RUNS,), (COMPUTES,)])
-def test_silent_topics_alone_do_not_prove_a_dead_node(process: tuple[Evidence, ...]) -> None:
+def test_silent_topics_alone_do_not_prove_a_dead_node(process: tuple[EvidencePiece, ...]) -> None:
     """Weak evidence never overrides stronger evidence of life; the topic has its own unit."""
     assert state(SILENT, LISTED, *process) is NodeState.ALIVE
 
@@ -268,7 +270,7 @@ def test_the_name_of_a_hung_node_does_not_show_that_it_runs_again() -> None:
 
 
 @pytest.mark.parametrize("sign", [(), (BEACON_ALIVE,), (TOPICS_ACTIVE,)])
-def test_a_name_listed_twice_for_long_is_a_duplicate(sign: tuple[Evidence, ...]) -> None:
+def test_a_name_listed_twice_for_long_is_a_duplicate(sign: tuple[EvidencePiece, ...]) -> None:
     """Alive, but twice."""
     assert state(LISTED, *sign, past=NodeHistory(twice=True)) is NodeState.DUPLICATE
 
@@ -302,7 +304,9 @@ def test_the_decisive_evidence_comes_first() -> None:
         ([LISTED, SILENT], NO_HISTORY, "name alive"),
     ],
 )
-def test_the_text_begins_with_the_decisive_evidence(evidence: list[Evidence], past: NodeHistory, decisive: str) -> None:
+def test_the_text_begins_with_the_decisive_evidence(
+    evidence: list[EvidencePiece], past: NodeHistory, decisive: str
+) -> None:
     """An operator reads the first words only."""
     for order in (evidence, evidence[::-1]):
         assert judge_node(order, past).words.partition("; ")[0] == decisive
@@ -324,7 +328,7 @@ def test_a_node_that_unregistered_recently_is_not_reported_for_its_silent_beacon
         ([piece(Kind.BEACON, Observation.LATE, 60.0)], False),
         (
             [
-                Evidence(Kind.PROCESS, Observation.ALIVE, "runs", measured=False),
+                EvidencePiece(Kind.PROCESS, Observation.ALIVE, "runs", measured=False),
                 piece(Kind.BEACON, Observation.LATE, 60.0),
             ],
             False,
@@ -339,7 +343,9 @@ def test_a_node_that_unregistered_recently_is_not_reported_for_its_silent_beacon
         ),
     ],
 )
-def test_starvation_does_not_block_an_executor_whose_beacon_is_in_time(evidence: list[Evidence], certain: bool) -> None:
+def test_starvation_does_not_block_an_executor_whose_beacon_is_in_time(
+    evidence: list[EvidencePiece], certain: bool
+) -> None:
     """For long: its process gets the CPU and does not use it. If the beacon is silent too, its CPU use unknown, or it published
     meanwhile, it may be starved."""
     verdict = judge_node([SILENT, *evidence, LISTED], NO_HISTORY)

@@ -88,3 +88,10 @@ def test_one_brief_for_several_findings(briefs: list[str], text: str) -> None:
     findings = [error("", brief=brief, condition="bad") for brief in briefs]
     assert _text.combined([warn("", brief="e slow", condition="bad"), *findings, ok("f")]) == text
     assert len(text) <= _text.BRIEF_MAX
+
+
+def test_several_findings_become_one_result() -> None:
+    """It is the first of the worst, with the texts of all that are not OK."""
+    dead = error("c is dead", brief="c dead", condition="dead", target="c")
+    found = _text.merged([ok("a works"), warn("b is slow", brief="b slow", condition="slow"), dead], {"units": 3})
+    assert found == error("b is slow. c is dead.", brief="c dead", condition="dead", target="c", values={"units": 3})

@@ -16,7 +16,7 @@ from phm.probes.ros.protocol import GraphMessage, SelfReportUpdate, Tick
 from phm.probes.ros.rates.estimator import RateEstimator
 from phm.probes.ros.rates.publisher_stats import Sample
 from phm.probes.ros.supervisor import SupervisorLimits
-from phm_checks._node_consensus import silent
+from phm_checks._ros_facts import beacon_silent
 from tests.fakes.ros_bench import Bench, until
 from tests.ros.test_supervision import fake
 
@@ -57,11 +57,11 @@ def test_a_beacon_is_not_silent_while_the_child_does_not_run() -> None:
     child = Child()
     child.receive()
     fact = child.tick(5.0, 4.8)
-    assert not silent(fact.beacons[NODE])
+    assert not beacon_silent(fact.beacons[NODE])
     assert fact.beacons[NODE].age_s == pytest.approx(5.0)
     for _ in range(4):
         fact = child.tick(0.25)
-    assert silent(fact.beacons[NODE])
+    assert beacon_silent(fact.beacons[NODE])
 
 
 def test_a_permanently_starved_child_halves_a_silence_at_most() -> None:

@@ -8,8 +8,8 @@ from dataclasses import replace
 from phm import api
 from phm_checks._custom.base import Finding, bad, good
 from phm_checks._custom.ros import RosCheck
-from phm_checks._endpoint_matching import full
-from phm_checks._readiness import Requirements, snapshot
+from phm_checks._readiness import Requirements
+from phm_checks._ros_facts import full_name, snapshot
 
 
 class Lifecycle(RosCheck):
@@ -17,7 +17,7 @@ class Lifecycle(RosCheck):
 
     @property
     def node(self) -> str:
-        return full(self.entry.node)
+        return full_name(self.entry.node)
 
     @property
     def units(self) -> Sequence[api.Unit]:
@@ -25,7 +25,7 @@ class Lifecycle(RosCheck):
         return (replace(unit, needs=(*unit.needs, f"nodes/{api.topic_id(self.node)}")),)
 
     def observe(self, world: api.World) -> Finding:
-        fact, node, state = snapshot(world), full(self.entry.node), self.entry.state
+        fact, node, state = snapshot(world), self.node, self.entry.state
         found = Requirements(fact, self.settings.ros).lifecycle(node, state)
         if found is None:
             return good(f"{node} is {state}", state=state)

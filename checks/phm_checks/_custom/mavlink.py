@@ -13,8 +13,6 @@ from phm_checks._custom.base import CustomCheck, Finding, bad
 from phm_checks._custom.limits import Reading, judge
 from phm_checks._text import span
 
-RANK = (Level.ERROR, Level.WARN, Level.OK)
-
 
 class Mavlink(CustomCheck):
     """Messages count on links that lead to the autopilot. While the autopilot is lost, that is the fault."""
@@ -42,7 +40,7 @@ class Mavlink(CustomCheck):
             return self._never(world.clock.mono() - self._since)
         findings = [self._judge(value, several=len(values) > 1) for value in values]
         known = [found for found in findings if isinstance(found, Finding)]
-        worst = min(known, key=lambda found: RANK.index(found.level), default=None)
+        worst = max(known, key=lambda found: found.level.severity, default=None)
         unknown = [found for found in findings if isinstance(found, str)]
         if worst is not None and (worst.level is not Level.OK or not unknown):
             return worst

@@ -5,8 +5,8 @@ from __future__ import annotations
 from phm import api
 from phm_checks._custom.base import Finding, bad, good
 from phm_checks._custom.ros import RosCheck
-from phm_checks._endpoint_matching import full
-from phm_checks._readiness import NOT_LISTED, snapshot
+from phm_checks._readiness import NOT_LISTED
+from phm_checks._ros_facts import full_name, snapshot
 from phm_checks._text import clean, last, span
 
 POLL_S = 1.0
@@ -17,7 +17,7 @@ class Service(RosCheck):
     """The ROS child process counts its servers and calls it."""
 
     def observe(self, world: api.World) -> Finding:
-        fact, name = snapshot(world), full(self.entry.service)
+        fact, name = snapshot(world), full_name(self.entry.service)
         called = fact.calls.get(name, api.AnswerFact())
         if self.entry.call is not None and called.problem:
             raise api.CannotTell(f"service {name} cannot be called: {clean(called.problem)}")

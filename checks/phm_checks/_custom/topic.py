@@ -9,8 +9,8 @@ from phm import api
 from phm_checks._custom.base import Finding, bad, good
 from phm_checks._custom.limits import Reading, judge
 from phm_checks._custom.ros import RosCheck
-from phm_checks._endpoint_matching import full
-from phm_checks._readiness import LARGE_BPS, LARGE_PAUSE_S, snapshot
+from phm_checks._readiness import LARGE_PAUSE_S
+from phm_checks._ros_facts import full_name, is_large, snapshot
 from phm_checks._text import clean, span
 
 REMEDY = "install the package of its type where rclpy comes from, or name the application's workspace in ros.installs"
@@ -26,7 +26,7 @@ class Topic(RosCheck):
 
     def observe(self, world: api.World) -> Finding:
         entry, fact = self.entry, snapshot(world)
-        name = full(entry.topic)
+        name = full_name(entry.topic)
         seen = fact.topics.get(name, api.TopicFact())
         types = sorted({end.type for end in seen.publishers if end.type})
         if entry.message is not None and types and types != [entry.message]:
@@ -38,8 +38,8 @@ class Topic(RosCheck):
         if rate is None or rate.silent_s is None:
             return self._never(name, seen, fact)
         silent_s = max(0.0, rate.silent_s - rate.not_counted_s)
-        large = (rate.sample_bytes or 0.0) * (rate.hz or 0.0) > LARGE_BPS
-        if entry.max_age is not None and silent_s > entry.max_age + (LARGE_PAUSE_S if large else 0.0):
+        pause_s = LARGE_PAUSE_S if is_large(rate, rate.hz or 0.0) else 0.0
+        if entry.max_age is not None and silent_s > entry.max_age + pause_s:
             words = f"{name} has had no message for {span(silent_s)}, expected one every {span(entry.max_age)}"
             return bad(words, "silent", age_s=round(silent_s, 1))
         if entry.field is None:
