@@ -102,8 +102,21 @@ class Pipeline:
 
     # ------------------------------------------------------------ from recovery and from events
 
-    def begin_action(self, target: str, owner: str, action: str, at_most_s: float, *, proving: bool = False) -> None:
-        self._apply(lambda now: self._tracker.begin_action(target, owner, action, now, at_most_s, proving=proving))
+    def begin_action(
+        self,
+        target: str,
+        owner: str,
+        action: str,
+        at_most_s: float,
+        *,
+        verifying: bool = False,
+        leaves_running: bool = False,
+    ) -> None:
+        self._apply(
+            lambda now: self._tracker.begin_action(
+                target, owner, action, now, at_most_s, verifying=verifying, leaves_running=leaves_running
+            )
+        )
 
     def end_action(self, target: str, *, worked: bool) -> None:
         self._apply(lambda now: self._tracker.end_action(target, now, worked=worked))

@@ -127,8 +127,10 @@ class TargetWorker:
         if case.approved:
             self._operator().approvals.expire(mine, case.approved, "PHM has been restarted or reloaded")
         if interrupted is not None:
-            at_most_s = grace_s + INTERRUPTED_S
-            self._locks.begin_action(self._name, mine, fault.unit, interrupted.attempt.action, at_most_s)
+            action, at_most_s = interrupted.attempt.action, grace_s + INTERRUPTED_S
+            known = self._catalog.get(action)
+            leaves_running = known is not None and known.leaves_running
+            self._locks.begin_action(self._name, mine, fault.unit, action, at_most_s, leaves_running=leaves_running)
         self._wake.set()
 
     def persisted(self) -> tuple[dict[str, PersistedCase], UnfinishedAction | None]:
