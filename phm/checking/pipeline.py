@@ -169,8 +169,8 @@ class Pipeline:
         """Run these units' checks now, e.g. to verify an action."""
         self._wake_units(units, "verify")
 
-    def ok_since(self, unit: str, mono: float) -> bool:
-        """Whether a run that began after `mono` found the unit OK."""
+    def found_ok(self, unit: str, mono: float) -> bool:
+        """Whether a run that began after `mono` found the unit OK: see `Tracker.found_ok`."""
         with self._lock:
             return self._tracker.found_ok(unit, mono)
 
@@ -189,7 +189,7 @@ class Pipeline:
         with self._lock:
             return self._tracker.dependencies(unit)
 
-    def bad_since(self, unit: str, mono: float) -> bool:
+    def confirmed_bad(self, unit: str, mono: float) -> bool:
         """Whether the unit is still in ERROR by a run that began after `mono`: see `Tracker.confirmed_bad`."""
         with self._lock:
             return self._tracker.confirmed_bad(unit, mono)

@@ -33,7 +33,7 @@ from phm.core.clock import Clock
 from phm.facts import CannotTell, ContainerFact
 
 UNFINISHED_S = 600.0
-"""How long a call without a response may take effect; older attempts do not count (`phm.recovery.policy.CLEAN_S`)."""
+"""How long a call without a response may take effect; older attempts do not count (`phm.recovery.fault_cases.CLEAN_S`)."""
 SETTLED_S = 0.5
 """A change observed up to this long after an action of PHM belongs to it: the probe's data may be 0.2 s old."""
 POLL_S = 0.05

@@ -219,7 +219,7 @@ class TargetWorker:
             return self._wait_until(self._report(case, decision))
         if decision.action not in self._catalog.unrestricted and self._changes.generation_changed(case):
             return [0]  # a run must find the fault in this generation
-        if not self._pipeline.bad_since(case.fault.unit, ANY_TIME):
+        if not self._pipeline.confirmed_bad(case.fault.unit, ANY_TIME):
             # The decision waited, and the fault may be over: it stays open while its unit is unknown or only a warning.
             return [self._wait_for_confirmation(case.fault.unit, ANY_TIME)]
         return [self._perform(case, decision, lambda: self._outdated(case, decision))]
@@ -228,7 +228,7 @@ class TargetWorker:
         """Whether something has started the container again since the fault was found, or a newer run does not confirm the fault."""
         if act.action not in self._catalog.unrestricted and self._changes.generation_changed(case):
             return True
-        return not self._pipeline.bad_since(case.fault.unit, ANY_TIME)
+        return not self._pipeline.confirmed_bad(case.fault.unit, ANY_TIME)
 
     def _restart_manually(self, requests: OperatorRequests) -> float:
         case = requests.next()

@@ -29,7 +29,8 @@ DETACHED, RECONNECTS = "disconnected", "reconnect"
 and the action that takes a container off its networks for a moment."""
 FROM_OUTSIDE = frozenset({"network_missing", "device_missing"})
 """Conditions that come from outside of every container: no action on one causes them, except that a program may reset its device when it
-starts, which is a fault at any start."""
+starts, which is a fault at any start. Not taken for a consequence of an action in progress (rule 2), nor of a container whose OK is held
+back (rule 4)."""
 GRACE_ENDS_AFTER_OK_S = 2.5
 """Grace ends early once a unit has been OK for this long. Shorter could be a remnant of the previous run (a killed node stays
 listed until its lease ends, 1 s with the profile in config/fastdds.xml)."""
@@ -230,10 +231,10 @@ def confirmed(context: RuleContext) -> Decision:
     ) | _unasked(context, lasted)
     if not pending.requested:
         pending, rerun = replace(pending, requested=True), rerun | unanswered
-    unknown = not overdue and any(other.unknown for other in upstream)
+    waits_for_unknown = not overdue and any(other.unknown for other in upstream)
     if record.started < pending.again_from or any(other.published.since.mono > record.started for other in upstream):
         return Decision(pending=pending, rerun=rerun | {record.id})
-    if unanswered or unknown or record.bad_in_a_row < record.spec.failures:
+    if unanswered or waits_for_unknown or record.bad_in_a_row < record.spec.failures:
         return Decision(pending=pending, rerun=rerun)
     return Decision(context.result, rerun=rerun)
 
