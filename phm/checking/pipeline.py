@@ -102,8 +102,21 @@ class Pipeline:
 
     # ------------------------------------------------------------ from recovery and from events
 
-    def begin_action(self, target: str, owner: str, action: str, at_most_s: float, *, proving: bool = False) -> None:
-        self._apply(lambda now: self._tracker.begin_action(target, owner, action, now, at_most_s, proving=proving))
+    def begin_action(
+        self,
+        target: str,
+        owner: str,
+        action: str,
+        at_most_s: float,
+        *,
+        verifying: bool = False,
+        leaves_running: bool = False,
+    ) -> None:
+        self._apply(
+            lambda now: self._tracker.begin_action(
+                target, owner, action, now, at_most_s, verifying=verifying, leaves_running=leaves_running
+            )
+        )
 
     def end_action(self, target: str, *, worked: bool) -> None:
         self._apply(lambda now: self._tracker.end_action(target, now, worked=worked))
@@ -156,8 +169,8 @@ class Pipeline:
         """Run these units' checks now, e.g. to verify an action."""
         self._wake_units(units, "verify")
 
-    def ok_since(self, unit: str, mono: float) -> bool:
-        """Whether a run that began after `mono` found the unit OK."""
+    def found_ok(self, unit: str, mono: float) -> bool:
+        """Whether a run that began after `mono` found the unit OK: see `Tracker.found_ok`."""
         with self._lock:
             return self._tracker.found_ok(unit, mono)
 
@@ -176,7 +189,7 @@ class Pipeline:
         with self._lock:
             return self._tracker.dependencies(unit)
 
-    def bad_since(self, unit: str, mono: float) -> bool:
+    def confirmed_bad(self, unit: str, mono: float) -> bool:
         """Whether the unit is still in ERROR by a run that began after `mono`: see `Tracker.confirmed_bad`."""
         with self._lock:
             return self._tracker.confirmed_bad(unit, mono)

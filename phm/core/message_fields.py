@@ -79,9 +79,7 @@ def has_other_stamps(type_name: str, of: FieldsOf = fields_of) -> bool | None:
     if inside[:1] == [HEADER]:
         del inside[0]
     while inside and not found:
-        kind = inside.pop()
-        array = _ARRAY.fullmatch(kind)
-        kind = array[1] or array[2] if array else kind
+        kind = _inner(inside.pop())
         if "/" in kind and kind not in seen:
             seen.add(kind)
             fields = of(kind) or {}
@@ -123,12 +121,10 @@ def _element(name: str, array_type: str, index: int) -> str:
     return array[1] or array[2]
 
 
-def demand_number(type_name: str, name: str, of: FieldsOf = fields_of) -> None:
-    """Raises UnknownField if the field is known not to be a number or an array of numbers."""
-    found = field_type(type_name, name, of)
-    array = _ARRAY.fullmatch(found or "")
-    if found is not None and (array[1] or array[2] if array else found) not in NUMBERS:
-        raise UnknownField(f"{name} of {type_name} is of type {found}, not a number")
+def _inner(kind: str) -> str:
+    """The type of the elements of an array; another type is returned unchanged."""
+    array = _ARRAY.fullmatch(kind)
+    return array[1] or array[2] if array else kind
 
 
 def demand_value(type_name: str, name: str, of: FieldsOf = fields_of, *, number: bool = False) -> None:
@@ -136,8 +132,7 @@ def demand_value(type_name: str, name: str, of: FieldsOf = fields_of, *, number:
     found = field_type(type_name, name, of)
     if found is None or (not number and re.fullmatch(r"w?string(<\d+>)?", found)):
         return
-    array = _ARRAY.fullmatch(found)
-    if (array[1] or array[2] if array else found) not in NUMBERS:
+    if _inner(found) not in NUMBERS:
         wanted = "a number" if number else "a number or a text"
         raise UnknownField(f"{name} of {type_name} is of type {found}, not {wanted}")
 

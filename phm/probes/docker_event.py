@@ -61,12 +61,12 @@ class DockerEvent:
         return self.action == "kill" and self.end_s == 0
 
     @property
-    def ends_life(self) -> bool:
+    def exits(self) -> bool:
         """The container has ended or was removed."""
         return self.kind == "container" and self.action in ("die", "destroy")
 
     @property
-    def begins_life(self) -> bool:
+    def starts(self) -> bool:
         """The container was started. The engine's `restart` event only follows its `start`; if `start` is lost, it
         replaces it."""
         return self.kind == "container" and (self.action == "start" or (self.action == "restart" and self.lost))

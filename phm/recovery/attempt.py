@@ -270,8 +270,15 @@ class Attempt:
     def _begin_action(self) -> None:
         """Begin the action in the tracker, or extend its time there."""
         at_most_s = self._until - self._clock.mono() + self._verify_s + MARGIN_S
-        key, proving = self._action_key, self._action_key == self._target.name
-        self._locks.begin_action(key, self, self._fault.unit, self._type.name, at_most_s, proving=proving)
+        self._locks.begin_action(
+            self._action_key,
+            self,
+            self._fault.unit,
+            self._type.name,
+            at_most_s,
+            verifying=self._action_key == self._target.name,
+            leaves_running=self._type.leaves_running,
+        )
 
     def _abandon_when_due(self) -> bool:
         """Abandon the action if its time is over. Returns whether it is."""

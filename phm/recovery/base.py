@@ -242,6 +242,8 @@ class Action(ABC):
     """What the action takes down for a moment; it is not done while armed if that includes something flight-critical."""
     starts: ClassVar[bool] = True
     """Whether it may start or restart its container. The engine may do that late, also after PHM was stopped."""
+    leaves_running: ClassVar[bool] = False
+    """Whether it ends no process of its target, unless it restarts the target afterwards: then the stop is reported first."""
     verify_after_s: ClassVar[float] = 0.0
     """The unit and everything that needs it must be found OK by runs that began this long after the action: for actions after
     which all looks OK for a moment (a container that starts and exits again, a node that is listed but cut off)."""

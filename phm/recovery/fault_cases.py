@@ -336,13 +336,13 @@ class ExternalChanges:
             for fault in self._pipeline.given_up()
             if fault.result.target == self._target
             and fault.result.condition in DOWN
-            and self._pipeline.bad_since(fault.unit, last)
+            and self._pipeline.confirmed_bad(fault.unit, last)
         ]
 
     def unconfirmed_since(self, case: FaultCase) -> float | None:
         """A run that begins after this must find the unit in ERROR before any action; None: one has."""
         recheck_from = self._recheck_from(case)
-        confirmed = recheck_from is None or self._pipeline.bad_since(case.fault.unit, recheck_from)
+        confirmed = recheck_from is None or self._pipeline.confirmed_bad(case.fault.unit, recheck_from)
         return None if confirmed else recheck_from
 
     def _recheck_from(self, case: FaultCase) -> float | None:

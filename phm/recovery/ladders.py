@@ -58,7 +58,8 @@ has given up, it is tried once per `recovery.backoff_max`."""
 GENTLE = frozenset({"relieve"})
 """Actions that disturb no container: limited by back-off only, they use up no budget."""
 OUTSIDE = frozenset({"network_missing"})
-"""Conditions that come from outside of every container: no action on a container causes them."""
+"""Conditions that come from outside of every container: no action on a container causes them. While one of these lasts, a failed attempt
+does not count (`phm.recovery.verification`)."""
 AGAIN_WHILE_IT_LASTS = frozenset({"disconnected"})
 """Conditions that only the first step of the ladder can end: a restart does not connect a network. The next step follows only if
 the unit has recovered and something that needs it has not."""

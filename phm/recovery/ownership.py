@@ -33,7 +33,7 @@ from phm.core.clock import Clock
 from phm.facts import CannotTell, ContainerFact
 
 UNFINISHED_S = 600.0
-"""How long a call without a response may take effect; older attempts do not count (`phm.recovery.policy.CLEAN_S`)."""
+"""How long a call without a response may take effect; older attempts do not count (`phm.recovery.fault_cases.CLEAN_S`)."""
 SETTLED_S = 0.5
 """A change observed up to this long after an action of PHM belongs to it: the probe's data may be 0.2 s old."""
 POLL_S = 0.05
@@ -335,12 +335,22 @@ class TargetLocks:
     # ------------------------------------------------------------ actions as the tracker knows them
 
     def begin_action(
-        self, target: str, owner: object, unit: str, action: str, at_most_s: float, *, proving: bool = False
+        self,
+        target: str,
+        owner: object,
+        unit: str,
+        action: str,
+        at_most_s: float,
+        *,
+        verifying: bool = False,
+        leaves_running: bool = False,
     ) -> None:
         """From now on, failures in the target follow from the recovery of `unit`: see `Tracker.begin_action`."""
         with self._lock:
             self._action_owners[target] = owner
-            self._pipeline.begin_action(target, unit, action, at_most_s, proving=proving)
+            self._pipeline.begin_action(
+                target, unit, action, at_most_s, verifying=verifying, leaves_running=leaves_running
+            )
 
     def end_action(self, target: str, owner: object, *, worked: bool) -> None:
         """The action is over, unless another owner has acted since: see `Tracker.end_action`."""

@@ -32,7 +32,7 @@ NOT_SLOW = DOWN | AGAIN_WHILE_IT_LASTS
 class CheckResults(Protocol):
     """What check runs have found; `phm.checking.pipeline.Pipeline` is one."""
 
-    def ok_since(self, unit: str, mono: float) -> bool: ...
+    def found_ok(self, unit: str, mono: float) -> bool: ...
 
     def failing_dependents(self, unit: str, mono: float) -> tuple[str, ...]: ...
 
@@ -95,9 +95,9 @@ class Verification:
         self.starved = self.starved or bool(checks.active_pressure(self.unit))
         # A unit that was starved gets the time of one more verification: its start takes longer.
         more_s = self.verify_s if self.starved else 0.0
-        if not checks.ok_since(self.unit, self.done):
+        if not checks.found_ok(self.unit, self.done):
             return self._of_the_unit(checks, now, more_s)
-        if self.proven_by_unit and checks.ok_since(self.unit, self.done + self.verify_after_s):
+        if self.proven_by_unit and checks.found_ok(self.unit, self.done + self.verify_after_s):
             return VerificationResult()
         return self._of_dependents(checks, now, more_s)
 
@@ -132,7 +132,7 @@ class Verification:
     def _of_dependents(self, checks: CheckResults, now: float, more_s: float) -> VerificationResult | None:
         counts_from = self.done + self.verify_after_s
         failing = checks.failing_dependents(self.unit, counts_from)
-        if not failing and checks.ok_since(self.unit, counts_from):
+        if not failing and checks.found_ok(self.unit, counts_from):
             # An unknown dependent has not recovered, but is not missing either. One that stays unknown for `verify_s` causes
             # no further restart.
             self.waiting = checks.unknown_dependents(self.unit, counts_from)

@@ -127,8 +127,10 @@ class TargetWorker:
         if case.approved:
             self._operator().approvals.expire(mine, case.approved, "PHM has been restarted or reloaded")
         if interrupted is not None:
-            at_most_s = grace_s + INTERRUPTED_S
-            self._locks.begin_action(self._name, mine, fault.unit, interrupted.attempt.action, at_most_s)
+            action, at_most_s = interrupted.attempt.action, grace_s + INTERRUPTED_S
+            known = self._catalog.get(action)
+            leaves_running = known is not None and known.leaves_running
+            self._locks.begin_action(self._name, mine, fault.unit, action, at_most_s, leaves_running=leaves_running)
         self._wake.set()
 
     def persisted(self) -> tuple[dict[str, PersistedCase], UnfinishedAction | None]:
@@ -217,7 +219,7 @@ class TargetWorker:
             return self._wait_until(self._report(case, decision))
         if decision.action not in self._catalog.unrestricted and self._changes.generation_changed(case):
             return [0]  # a run must find the fault in this generation
-        if not self._pipeline.bad_since(case.fault.unit, ANY_TIME):
+        if not self._pipeline.confirmed_bad(case.fault.unit, ANY_TIME):
             # The decision waited, and the fault may be over: it stays open while its unit is unknown or only a warning.
             return [self._wait_for_confirmation(case.fault.unit, ANY_TIME)]
         return [self._perform(case, decision, lambda: self._outdated(case, decision))]
@@ -226,7 +228,7 @@ class TargetWorker:
         """Whether something has started the container again since the fault was found, or a newer run does not confirm the fault."""
         if act.action not in self._catalog.unrestricted and self._changes.generation_changed(case):
             return True
-        return not self._pipeline.bad_since(case.fault.unit, ANY_TIME)
+        return not self._pipeline.confirmed_bad(case.fault.unit, ANY_TIME)
 
     def _restart_manually(self, requests: OperatorRequests) -> float:
         case = requests.next()

@@ -6,8 +6,10 @@ import itertools
 from typing import Any
 
 from phm.review import check_rates, levels, own_figures
+from phm.review.agent_record import AgentRecord
+from phm.review.armed_periods import ended_armed
 from phm.review.omitted import OmittedCounts
-from phm.review.record import AgentRecord, Record, ended_armed
+from phm.review.record import Record
 from phm.review.spans import Span, clipped, total, without
 
 Json = dict[str, Any]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from phm.review.cost import Cost
+from phm.review.received_frames import ReceivedFrames
 from phm.review.series import POINTS, Series
 from phm.review.spans import Cover
 
@@ -93,7 +94,7 @@ class Run:
     armed: list[tuple[float, bool]] = field(default_factory=list)
     """(mono, whether the autopilot was armed), when a line of its check says something new: for logs without flights."""
     cost: Cost = field(default_factory=Cost)
-    received: dict[tuple[int, int, int], list[float]] = field(default_factory=dict)
+    received: ReceivedFrames = field(default_factory=ReceivedFrames)
     """When which frames were received, by system, component and frame number: monotonic seconds."""
     series: dict[str, Series] = field(default_factory=dict)
     unplotted: set[str] = field(default_factory=set)
@@ -154,8 +155,7 @@ class Run:
             had = self.boots.setdefault(number, seen)
             self.boots[number] = [had[0] + seen[0], min(had[1], seen[1]), max(had[2], seen[2])]
         self.cost.merge(other.cost)
-        for frame, times in other.received.items():
-            self.received[frame] = sorted({*self.received.get(frame, []), *times})
+        self.received.merge(other.received)
         for name, series in other.series.items():
             kept = self.series_of(name, series)
             if kept is not None and kept is not series:

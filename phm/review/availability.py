@@ -6,9 +6,9 @@ import bisect
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from phm.review.agent_record import AgentRecord
 from phm.review.levels import RANK, Segment, of_agent, seconds
 from phm.review.omitted import OmittedCounts
-from phm.review.record import AgentRecord
 
 Json = dict[str, Any]
 KINDS = {

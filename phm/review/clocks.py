@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 from phm.review.agent_run import Run
 from phm.review.ground_part import GroundRun
-from phm.review.part import STEP_S
 from phm.review.spans import both, joined, total
+from phm.review.utc_steps import STEP_S
 from phm.review.votes import SAME_S
 
 REFERENCE = "reference of the other agents"

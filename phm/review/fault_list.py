@@ -5,8 +5,8 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from typing import Any, NamedTuple
 
+from phm.review.agent_record import AgentRecord
 from phm.review.omitted import OmittedCounts
-from phm.review.record import AgentRecord
 
 Json = dict[str, Any]
 BEFORE_S, AFTER_S = 5.0, 5.0

@@ -7,7 +7,9 @@ from typing import Any
 
 import msgspec
 
-from phm.review.events import LATEST_S, UNREADABLE, Event
+from phm.review import utc_steps
+from phm.review.events import UNREADABLE, Event
+from phm.review.received_frames import ReceivedFrames
 from phm.review.series import Series
 from phm.review.spans import Cover
 
@@ -15,7 +17,6 @@ COVER_S = 75.0
 """The ground records a snapshot every 60 s."""
 MOST_EVENTS = 200_000
 MOST_SERIES = 64
-MOST_FRAMES = 1000
 _LEVELS = {0: "STALE", 1: "OK", 2: "WARN", 3: "ERROR"}
 RADIO = ("rssi", "remrssi", "noise", "remnoise", "txbuf")
 
@@ -50,7 +51,7 @@ class GroundRun:
     """Number of these lines without an entry."""
     names: dict[int, str] = field(default_factory=dict)
     series: dict[str, Series] = field(default_factory=dict)
-    received: dict[tuple[int, int, int], list[float]] = field(default_factory=dict)
+    received: ReceivedFrames = field(default_factory=ReceivedFrames)
     """When which heartbeats were received or sent, by system, component and frame number."""
 
     def take(self, event: Event) -> None:
@@ -58,11 +59,9 @@ class GroundRun:
         self.cover.add(event.mono)
         if event.event not in ("snapshot", "alive", "received", "samples"):
             self.numbers.add(float(event.seq))
-        difference = event.utc_s - event.mono
-        if (not self.clock or abs(difference - self.clock[-1][1]) > 0.2) and len(self.clock) < 1000:
-            self.clock.append((event.mono, difference))
+        utc_steps.note(self.clock, event.mono, event.utc_s)
         if event.event == "received":
-            self._received(event)
+            self.received.take(event.frames)
         elif len(self.texts) + len(self.levels) + len(self.presence) + len(self.armed) + len(self.silent) > MOST_EVENTS:
             self.left_out += 1
         elif event.event == "autopilot":
@@ -96,8 +95,7 @@ class GroundRun:
         self.text_bytes += other.text_bytes[:room]
         for agent, count in other.bytes_of.items():
             self.bytes_of[agent] = self.bytes_of.get(agent, 0) + count
-        for frame, times in other.received.items():
-            self.received[frame] = sorted({*self.received.get(frame, []), *times})
+        self.received.merge(other.received)
         self.names = {**other.names, **self.names}
         for name, series in other.series.items():
             if name in self.series:
@@ -127,13 +125,6 @@ class GroundRun:
                 self.untimed += 1
             if event.kind == "change" and not event.repeat and event.slot is not None and event.brief:
                 self.texts.append((event.mono, agent, event.slot, str(event.word or ""), event.brief))
-
-    def _received(self, event: Event) -> None:
-        for system, component, number, mono in event.frames[:MOST_FRAMES]:
-            if len(self.received) < MOST_EVENTS and 0.0 <= mono < LATEST_S:
-                times = self.received.setdefault((system, component, number), [])
-                if len(times) < MOST_FRAMES:
-                    times.append(mono)
 
     def _radios(self, event: Event) -> None:
         try:

@@ -12,8 +12,8 @@ from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from phm.review.agent_record import AgentRecord
 from phm.review.check_rates import by_action, counted
-from phm.review.record import AgentRecord
 
 Json = dict[str, Any]
 INJECT = re.compile(r"inject\b", re.IGNORECASE)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
+from phm.review.agent_record import AgentRecord
 from phm.review.ground_part import GroundRun
-from phm.review.record import AgentRecord, Record
+from phm.review.record import Record
 from phm.review.spans import Span, clipped, joined, without
 
 Segment = tuple[float, float, str]

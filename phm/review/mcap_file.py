@@ -16,8 +16,9 @@ from typing import Any
 from phm import __version__
 from phm.facts.ros import DIAGNOSTICS
 from phm.review import levels
+from phm.review.agent_record import AgentRecord
 from phm.review.cdr import DEFINITION, TYPE, Status, diagnostic_array
-from phm.review.record import AgentRecord, Record
+from phm.review.record import Record
 from phm.wire.report import NOT_APPLICABLE
 from phm.wire.text import one_line
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from phm.review.agent_record import AgentRecord
 from phm.review.agent_run import Run
 from phm.review.clocks import RunClock
-from phm.review.record import AgentRecord, Record
+from phm.review.record import Record
 
 Json = dict[str, Any]
 EDGE_S = 0.001

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 from typing import Any
 
 from phm.review import levels
+from phm.review.agent_record import AgentRecord
 from phm.review.agent_run import Run
 from phm.review.check_rates import ROUNDED_S
 from phm.review.clocks import RunClock
-from phm.review.record import AgentRecord
 from phm.review.spans import Span, clipped, total
 
 Json = dict[str, Any]

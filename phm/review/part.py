@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable
 from typing import Any
 
+from phm.review import utc_steps
 from phm.review.agent_run import MOST_CHECKS, Change, Run, RunMark
 from phm.review.events import LATEST_S, Event, numbers
 from phm.review.external_entry import EARLIEST_S, KINDS, MOST, ExternalEntry
@@ -21,9 +22,6 @@ MOST_VALUES = 100
 """Of one unit, as the evidence of a fault."""
 TOO_MANY_RUNS = "more runs of PHM than a report takes"
 TOO_MANY_GROUNDS = "more runs of the ground than a report takes"
-STEP_S = 0.2
-"""A change of the difference between the two clocks of this size is a step."""
-MOST_FRAMES = 1000
 LARGEST = 1e15
 """No measurement is larger: sums of them stay finite."""
 MEASURED = frozenset(("host", "radio", "link", "rates", "autopilot"))
@@ -106,9 +104,7 @@ class Part:
         run.lines += 1
         run.cover.add(event.mono)
         run.numbers.add(float(event.seq))
-        difference = event.utc_s - event.mono
-        if (not run.clock or abs(difference - run.clock[-1][1]) > STEP_S) and len(run.clock) < 1000:
-            run.clock.append((event.mono, difference))
+        utc_steps.note(run.clock, event.mono, event.utc_s)
         handler = _HANDLERS.get(event.event)
         if handler is not None:
             handler(self, run, event)
@@ -218,11 +214,7 @@ class Part:
         run.machine_boot = event.machine_boot[:40]
 
     def _received(self, run: Run, event: Event) -> None:
-        for system, component, number, mono in event.frames[:MOST_FRAMES]:
-            if len(run.received) < MOST_EVENTS and 0.0 <= mono < LATEST_S:
-                times = run.received.setdefault((system, component, number), [])
-                if len(times) < MOST_FRAMES:
-                    times.append(mono)
+        run.received.take(event.frames)
 
     def _cost(self, run: Run, event: Event) -> None:
         if event.cpu_s is not None and 0.0 <= event.cpu_s < LATEST_S:

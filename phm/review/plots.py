@@ -6,8 +6,9 @@ import itertools
 from collections.abc import Sequence
 from typing import Any
 
+from phm.review.agent_record import AgentRecord
 from phm.review.omitted import OmittedCounts
-from phm.review.record import AgentRecord, Record
+from phm.review.record import Record
 from phm.review.spans import Span
 
 Json = dict[str, Any]

@@ -5,10 +5,8 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Collection, Iterable, Sequence
-from typing import Protocol
 
-from phm.review.agent_run import Run
-from phm.review.clocks import RunClock
+from phm.review.agent_record import AgentRecord
 from phm.review.external_entry import ExternalEntry
 
 OURS = "phm/"
@@ -17,16 +15,7 @@ MOST_FOLDERS = 8
 """Maximum number of folders in the name of a recording."""
 
 
-class RecordedAgent(Protocol):
-    """The interface of `record.AgentRecord`, whose module imports this one."""
-
-    id: int
-    runs: list[tuple[Run, RunClock]]
-
-
-def owned(
-    others: Iterable[ExternalEntry], agents: Sequence[RecordedAgent]
-) -> tuple[list[ExternalEntry], dict[str, str]]:
+def owned(others: Iterable[ExternalEntry], agents: Sequence[AgentRecord]) -> tuple[list[ExternalEntry], dict[str, str]]:
     """The entries with the agent that is known, and names for the recordings without one, by path.
 
     A recording without PHM's own diagnostics belongs to the agent whose logs are in the same folder or in the nearest one above

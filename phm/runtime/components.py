@@ -166,7 +166,7 @@ class Components:
             settings=action_settings(settings),
             container=docker.container,
             own_container=docker.own_container,
-            last_attachment=self.probes.remembered,
+            last_attachment=self.probes.docker.remembered,
             own_attachment=self.probes.docker.own_remembered,
             reachable=docker.reachable,
             listed_nodes=lambda: self.probes.world.ros.snapshot().nodes,

@@ -26,12 +26,12 @@ class DockerEventRouter:
     def apply(self, event: DockerEvent) -> None:
         self._pipeline.note("DOCKER", str(event))
         if event.kind == "container" and not event.harmless:
-            self._holds.happened(event.key, "start" if event.begins_life else event.action, event.detail, event.id)
+            self._holds.happened(event.key, "start" if event.starts else event.action, event.detail, event.id)
         if event.end_s:
             self._pipeline.expect_stop(event.key, event.end_s)
-        if event.ends_life:
+        if event.exits:
             self._pipeline.container_ended(event.key)
-        if event.begins_life:
+        if event.starts:
             self._pipeline.container_started(event.key)
             self._container_started(event.key)
         for subject in event.subjects:

@@ -11,7 +11,7 @@ from typing import Any
 
 from phm.core.clock import Clock
 from phm.core.settings import Settings
-from phm.facts import COMPLETE, Attachment, CannotTell, EventStreamFact, LinkFact, RosFact, RosProbe, SelfFact, World
+from phm.facts import COMPLETE, CannotTell, EventStreamFact, LinkFact, RosFact, RosProbe, SelfFact, World
 from phm.probes.attachment_cache import AttachmentCache
 from phm.probes.container_watcher import ContainerWatcher
 from phm.probes.devices import Devices
@@ -112,9 +112,6 @@ class ProbeSet:
         if self.ros is not None:
             self.ros.renew(reason)
 
-    def links(self) -> tuple[LinkFact, ...]:
-        return self.mavlink.links() if self.mavlink is not None else ()
-
     def link(self, name: str) -> LinkFact | None:
         """The MAVLink endpoint of this name, with its traffic."""
         return next((link for link in self.world.links.links() if link.name == name), None)
@@ -131,9 +128,6 @@ class ProbeSet:
     def link_reports(self) -> list[dict[str, Any]]:
         """The MAVLink endpoints for `phm status`, see `MavlinkHub.report`."""
         return self.mavlink.report() if self.mavlink is not None else []
-
-    def remembered(self, container: str, network: str) -> Attachment | None:
-        return self.docker.remembered(container, network)
 
     def caught_up(self) -> bool:
         """Whether every reported Docker event is applied: see `ContainerWatcher.caught_up`."""

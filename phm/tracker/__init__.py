@@ -5,8 +5,7 @@ closes faults; `units` has the shared records; `starvation` decides which sympto
 counts each container start once.
 """
 
-from phm.tracker.rules import GRACE_ENDS_AFTER_OK_S
 from phm.tracker.tracker import Tracker
 from phm.tracker.units import Effects, TrackedUnit, all_needs, graph_of
 
-__all__ = ["GRACE_ENDS_AFTER_OK_S", "Effects", "TrackedUnit", "Tracker", "all_needs", "graph_of"]
+__all__ = ["Effects", "TrackedUnit", "Tracker", "all_needs", "graph_of"]

@@ -29,9 +29,8 @@ DETACHED, RECONNECTS = "disconnected", "reconnect"
 and the action that takes a container off its networks for a moment."""
 FROM_OUTSIDE = frozenset({"network_missing", "device_missing"})
 """Conditions that come from outside of every container: no action on one causes them, except that a program may reset its device when it
-starts, which is a fault at any start."""
-LEAVE_RUNNING = frozenset({RECONNECTS, "join_network"})
-"""Actions that end no process of the target, unless `reconnect` restarts it afterwards: then its stop is reported first."""
+starts, which is a fault at any start. Not taken for a consequence of an action in progress (rule 2), nor of a container whose OK is held
+back (rule 4)."""
 GRACE_ENDS_AFTER_OK_S = 2.5
 """Grace ends early once a unit has been OK for this long. Shorter could be a remnant of the previous run (a killed node stays
 listed until its lease ends, 1 s with the profile in config/fastdds.xml)."""
@@ -97,7 +96,8 @@ def action_in_progress(context: RuleContext) -> Decision | None:
 
     The unit is STALE `blocked_by` the fault being recovered; a unit with an open fault stays unchanged. Except that the Docker
     Engine no longer lists the running container on its network: of the actions only RECONNECTS does that. And except what was certain
-    before one of LEAVE_RUNNING began, and what comes FROM_OUTSIDE. An action without a fault was requested: its unit is STALE.
+    before an action that leaves its target running, and what comes FROM_OUTSIDE. An action without a fault was requested: its unit is
+    STALE.
     """
     record, action = context.record, context.view.actions.get(context.record.target)
     if action is None or not context.result.level.bad:
@@ -231,10 +231,10 @@ def confirmed(context: RuleContext) -> Decision:
     ) | _unasked(context, lasted)
     if not pending.requested:
         pending, rerun = replace(pending, requested=True), rerun | unanswered
-    unknown = not overdue and any(other.unknown for other in upstream)
+    waits_for_unknown = not overdue and any(other.unknown for other in upstream)
     if record.started < pending.again_from or any(other.published.since.mono > record.started for other in upstream):
         return Decision(pending=pending, rerun=rerun | {record.id})
-    if unanswered or unknown or record.bad_in_a_row < record.spec.failures:
+    if unanswered or waits_for_unknown or record.bad_in_a_row < record.spec.failures:
         return Decision(pending=pending, rerun=rerun)
     return Decision(context.result, rerun=rerun)
 
@@ -268,7 +268,7 @@ def in_grace(record: UnitRecord, now: float) -> bool:
 def certain_before(record: UnitRecord, action: ActionInProgress) -> bool:
     """Whether the unit has been bad with certainty, in this run of its target, since before an action that leaves that running."""
     since = record.certain_since
-    return action.action in LEAVE_RUNNING and since is not None and record.valid_from <= since < action.begun
+    return action.leaves_running and since is not None and record.valid_from <= since < action.begun
 
 
 def _unverified(record: UnitRecord, context: RuleContext) -> bool:
@@ -277,8 +277,8 @@ def _unverified(record: UnitRecord, context: RuleContext) -> bool:
     if record.fault is None and not record.escalated:
         return False
     # By its owner: the action may be on another container, for a unit that names its target only in its results.
-    proving = any(action.proving and action.owner == record.id for action in context.view.actions.values())
-    return proving or (context.now < record.unverified_until and not _all_back(record, context.view))
+    verifying = any(action.verifying and action.owner == record.id for action in context.view.actions.values())
+    return verifying or (context.now < record.unverified_until and not _all_back(record, context.view))
 
 
 def _all_back(record: UnitRecord, view: TrackerView) -> bool:

@@ -230,14 +230,23 @@ class Tracker:
     # ------------------------------------------------------------ recovery actions, holds and container events
 
     def begin_action(
-        self, target: str, owner: str, action: str, now: Stamp, at_most_s: float, *, proving: bool = False
+        self,
+        target: str,
+        owner: str,
+        action: str,
+        now: Stamp,
+        at_most_s: float,
+        *,
+        verifying: bool = False,
+        leaves_running: bool = False,
     ) -> Effects:
-        """An action begins on `target`, for the fault of unit `owner`. With `proving`, the owner's OK is held back until
+        """An action begins on `target`, for the fault of unit `owner`. With `verifying`, the owner's OK is held back until
         `end_action`. Of the action that is in progress already: it gets more time."""
         before = self._actions.get(target)
         same = before is not None and (before.owner, before.action) == (owner, action)
         begun = before.begun if before is not None and same else now.mono
-        self._actions[target] = ActionInProgress(owner, action, begun, now.mono + at_most_s, proving)
+        until = now.mono + at_most_s
+        self._actions[target] = ActionInProgress(owner, action, begun, until, verifying, leaves_running)
         for record in self._units.values():
             # The restart of a dependent is part of the action on the owner's target, which gets the credit.
             part = record.target != target and record.target in self._actions
@@ -252,7 +261,7 @@ class Tracker:
         self._release(target, now, effects)
         if action is None:
             return effects
-        if action.proving:
+        if action.verifying:
             # The owner's results from the meantime count now, or not yet.
             owner = self._units[action.owner]
             owner.unverified_from, owner.unverified_until = now.mono, NEVER if worked else now.mono + UNVERIFIED_S

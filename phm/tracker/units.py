@@ -46,8 +46,10 @@ class ActionInProgress:
     action: str
     begun: float
     until: float
-    proving: bool = False
+    verifying: bool = False
     """The owner's OK is not published until the action is verified for its dependents, too."""
+    leaves_running: bool = False
+    """As `Action.leaves_running`."""
     needed: bool = True
     """It has not found that there is nothing to do."""
 

@@ -10,11 +10,9 @@ from dataclasses import dataclass, field
 from sitl.campaign import uptime
 from sitl.campaign.attempts import Attempt, attempts
 from sitl.campaign.scoring import judge
-from sitl.campaign.stats import Stats, rank, stats
+from sitl.campaign.stats import Stats, stats
 from sitl.campaign.trial import NOMINAL, OFF, TRIAL, Alarm, Cost, Injection, RaisedWarning, Trial
 from sitl.campaign.verdict import ENDINGS, ScoredTrial, Verdict, counted
-
-__all__ = ["ClassMetrics", "Figures", "Stats", "figures", "rank", "stats"]
 
 
 @dataclass(frozen=True)

@@ -138,10 +138,10 @@ def test_verification_counts_only_runs_that_started_after_the_action() -> None:
     rig = Rig()
     rig.pipeline.observe({"container": ok("fine")}, rig.clock.mono(), 0.0)
     done = rig.clock.mono() + 1
-    assert not rig.pipeline.ok_since("container", done)
+    assert not rig.pipeline.found_ok("container", done)
     rig.clock.advance(2)
     rig.pipeline.observe({"container": ok("fine")}, rig.clock.mono(), 0.0)
-    assert rig.pipeline.ok_since("container", done)
+    assert rig.pipeline.found_ok("container", done)
 
 
 def test_closed_faults_are_kept_up_to_a_limit() -> None:

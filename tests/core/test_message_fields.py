@@ -9,7 +9,6 @@ import pytest
 from phm.core.message_fields import (
     UnknownField,
     demand_counter,
-    demand_number,
     demand_value,
     field_type,
     fields_of,
@@ -133,10 +132,10 @@ def test_an_unknown_field_is_named_with_those_that_exist(name: str, words: str) 
 def test_ranges_are_for_numbers_and_arrays_of_numbers() -> None:
     """Also booleans; not texts or messages."""
     for name in ("err", "status.seq", "status.sats", "status.cov", "status.ok", "status.other.x"):
-        demand_number(FIX, name)
+        demand_value(FIX, name, number=True)
     for name in ("name", "status", "status.all", "status.level"):
         with pytest.raises(UnknownField, match="not a number"):
-            demand_number(FIX, name)
+            demand_value(FIX, name, number=True)
 
 
 def test_a_counter_is_a_single_number() -> None:

@@ -205,7 +205,7 @@ def _play(folder: Path) -> Story:
     agent.run(0.5)
     during = agent.status_file()
     agent.run(1.5)
-    agent.pipeline.begin_action(TARGET, UNIT, "restart", 30.0, proving=True)
+    agent.pipeline.begin_action(TARGET, UNIT, "restart", 30.0, verifying=True)
     agent.act(Phase.DONE, f"restarted {TARGET}")
     agent.run(1.2)
     agent.alive.add(VICTIM)

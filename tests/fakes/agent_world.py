@@ -35,8 +35,8 @@ from phm.config import load
 from phm.core.model import Event, Evidence, FaultClosed, FaultOpened, Level, Result, Stamp, Transition
 from phm.core.settings import Settings
 from phm.facts import ContainerFact
-from phm.tracker import GRACE_ENDS_AFTER_OK_S, Effects, Tracker
-from phm.tracker.rules import DETACHED, FROM_OUTSIDE, RECONNECTS
+from phm.tracker import Effects, Tracker
+from phm.tracker.rules import DETACHED, FROM_OUTSIDE, GRACE_ENDS_AFTER_OK_S, RECONNECTS
 from phm.tracker.starvation import UNREAD_S
 from phm_checks.container import WITHOUT_ENGINE_S
 

@@ -62,9 +62,9 @@ class SimPipeline(Pipeline):
         super().__init__(sim.tracker, bus, clock)
         self._sim = sim
 
-    def begin_action(self, target: str, owner: str, action: str, at_most_s: float, *, proving: bool = False) -> None:
+    def begin_action(self, target: str, owner: str, action: str, at_most_s: float, **marks: bool) -> None:
         self._sim.held, self._sim.held_until = owner, self._sim.now + at_most_s
-        super().begin_action(target, owner, action, at_most_s, proving=proving)
+        super().begin_action(target, owner, action, at_most_s, **marks)
 
     def end_action(self, target: str, *, worked: bool) -> None:
         self._sim.held = ""
@@ -177,6 +177,7 @@ class SimRecovery:
 
         class Simulated(Action):
             name: ClassVar[str] = kind.name
+            leaves_running: ClassVar[bool] = kind.leaves_running
             deadline_s: ClassVar[float] = kind.deadline_s
             verify_after_s: ClassVar[float] = kind.verify_after_s
 

@@ -180,6 +180,7 @@ class Agent:
         class Simulated(Action):
             name = of
             starts = of in ("start", "restart")
+            leaves_running = of in ("reconnect", "join_network")
             deadline_s = 100.0
 
             def waits_for(self, target: Target, fault: Fault, context: ActionContext) -> str:

@@ -24,7 +24,7 @@ class TrackerCalls:
     def __init__(self) -> None:
         self.calls: list[tuple[str, ...]] = []
 
-    def begin_action(self, key: str, unit: str, action: str, at_most_s: float, *, proving: bool) -> None:
+    def begin_action(self, key: str, unit: str, action: str, at_most_s: float, **marks: bool) -> None:
         self.calls.append(("begin_action", key, unit))
 
     def end_action(self, key: str, *, worked: bool) -> None:
@@ -129,7 +129,7 @@ def test_attempts_that_wait_for_each_other_do_not_deadlock(
 def test_an_action_is_ended_by_its_last_owner(locks: TargetLocks, calls: TrackerCalls) -> None:
     """A recovery that is being verified while its container is restarted for another one does not end the other's hold."""
     own, other = object(), object()
-    locks.begin_action("side", own, "health/side", "restart", 60.0, proving=True)
+    locks.begin_action("side", own, "health/side", "restart", 60.0, verifying=True)
     locks.begin_action("side", other, "container/app", "restart", 60.0)
     locks.end_action("side", own, worked=True)
     assert calls.calls == [("begin_action", "side", "health/side"), ("begin_action", "side", "container/app")]

@@ -21,7 +21,7 @@ class Silent:
     def __init__(self, started: float) -> None:
         self.started = started
 
-    def ok_since(self, unit: str, mono: float) -> bool:
+    def found_ok(self, unit: str, mono: float) -> bool:
         return False
 
     def failing_dependents(self, unit: str, mono: float) -> tuple[str, ...]:
@@ -44,7 +44,7 @@ class Silent:
 class Alone(Silent):
     """The unit is OK, and its dependents stay away."""
 
-    def ok_since(self, unit: str, mono: float) -> bool:
+    def found_ok(self, unit: str, mono: float) -> bool:
         return True
 
     def failing_dependents(self, unit: str, mono: float) -> tuple[str, ...]:
@@ -149,7 +149,7 @@ class Unseen(Silent):
         super().__init__(0.0)
         self.known_at, self.back, self.now = known_at, back, 0.0
 
-    def ok_since(self, unit: str, mono: float) -> bool:
+    def found_ok(self, unit: str, mono: float) -> bool:
         return True
 
     def failing_dependents(self, unit: str, mono: float) -> tuple[str, ...]:
@@ -196,7 +196,7 @@ class Starved(Silent):
     def newest(self, unit: str, mono: float) -> Result | None:
         return error("bad", brief="bad", condition=self.condition) if self.started >= mono else None
 
-    def ok_since(self, unit: str, mono: float) -> bool:
+    def found_ok(self, unit: str, mono: float) -> bool:
         return self.unit_ok
 
     def failing_dependents(self, unit: str, mono: float) -> tuple[str, ...]:

@@ -19,7 +19,8 @@ from phm.core.clock import SystemClock
 from phm.core.model import Event, Fault, FaultClosed, FaultOpened, Level, Transition, UnitState
 from phm.facts import CannotTell, ProcessFact
 from phm.probes.docker_processes import FORMS, processes
-from phm.tracker import GRACE_ENDS_AFTER_OK_S, Tracker
+from phm.tracker import Tracker
+from phm.tracker.rules import GRACE_ENDS_AFTER_OK_S
 from phm_checks._process_table import ProcessTable
 from phm_checks.nodes import Nodes
 from phm_checks.rates import Rates

@@ -214,7 +214,7 @@ def test_a_successor_knows_what_cannot_be_observed_again(
     )
     successor.start()
     try:
-        known = {name: successor.components.probes.remembered(name, "fleet") for name in ("app", "a", "x")}
+        known = {name: successor.components.probes.docker.remembered(name, "fleet") for name in ("app", "a", "x")}
         assert known == {"app": attached, "a": None, "x": None}
         assert [fault.unit for state in handed for fault in state.faults if fault.unit == "custom/it"] == ["custom/it"]
         before, after = former.components.mavlink_commands, successor.components.mavlink_commands

@@ -38,8 +38,13 @@ class Lost(Bench):
         self.begin(action)
         self.now += 0.2
 
-    def begin(self, action: str, proving: bool = True) -> None:
-        self.take(self.tracker.begin_action("app", "network/app", action, self.stamp(), 60.0, proving=proving))
+    def begin(self, action: str) -> None:
+        stays = action in ("reconnect", "join_network")
+        self.take(
+            self.tracker.begin_action(
+                "app", "network/app", action, self.stamp(), 60.0, verifying=True, leaves_running=stays
+            )
+        )
 
     def look(self, node: Result, network: Result = OFF, times: int = 4) -> None:
         for _ in range(times):

@@ -27,7 +27,7 @@ def bench() -> Bench:
 
 
 def begin(bench: Bench, owner: str, action: str = "restart") -> None:
-    bench.take(bench.tracker.begin_action("app", owner, action, bench.stamp(), 300.0, proving=True))
+    bench.take(bench.tracker.begin_action("app", owner, action, bench.stamp(), 300.0, verifying=True))
     bench.take(bench.tracker.container_started("app", bench.stamp()))
     bench.later(1.0)
 

@@ -60,7 +60,7 @@ def test_a_warning_about_something_else_closes_the_fault_if_it_says_so() -> None
 def test_a_forecast_verifies_an_action() -> None:
     """It has recovered the unit, whatever comes."""
     bench = failing("link")
-    bench.take(bench.tracker.begin_action("link", "pilot", "start", bench.stamp(), 60.0, proving=True))
+    bench.take(bench.tracker.begin_action("link", "pilot", "start", bench.stamp(), 60.0, verifying=True))
     bench.now += 1
     bench.see("pilot", FORECAST)
     assert bench.tracker.found_ok("pilot", bench.now)
@@ -79,7 +79,7 @@ def test_an_ok_that_states_the_end_names_it() -> None:
 def test_an_action_that_ran_meanwhile_is_not_credited() -> None:
     """The end counts as the unit's recovery for the verification, and is published when that is over."""
     bench = failing("link")
-    bench.take(bench.tracker.begin_action("link", "pilot", "reopen", bench.stamp(), 60.0, proving=True))
+    bench.take(bench.tracker.begin_action("link", "pilot", "reopen", bench.stamp(), 60.0, verifying=True))
     bench.now += 1
     bench.see("pilot", REBOOTED)
     assert bench.closed == []
@@ -94,7 +94,7 @@ def test_an_action_that_ran_meanwhile_is_not_credited() -> None:
 def test_what_ended_it_is_remembered_until_the_action_is_verified() -> None:
     """A check states it only for a time; later results say that the unit is OK, no more."""
     bench = failing("link")
-    bench.take(bench.tracker.begin_action("link", "pilot", "reopen", bench.stamp(), 60.0, proving=True))
+    bench.take(bench.tracker.begin_action("link", "pilot", "reopen", bench.stamp(), 60.0, verifying=True))
     for result in (REBOOTED, stale("not known"), OK):
         bench.now += 1
         bench.see("pilot", result)
@@ -105,7 +105,7 @@ def test_what_ended_it_is_remembered_until_the_action_is_verified() -> None:
 def test_what_ended_a_failure_does_not_end_the_next_one() -> None:
     """Failing again, it has to be ended again."""
     bench = failing("link")
-    bench.take(bench.tracker.begin_action("link", "pilot", "reopen", bench.stamp(), 60.0, proving=True))
+    bench.take(bench.tracker.begin_action("link", "pilot", "reopen", bench.stamp(), 60.0, verifying=True))
     for result in (REBOOTED, BAD, OK):
         bench.now += 1
         bench.see("pilot", result)

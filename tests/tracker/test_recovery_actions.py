@@ -238,7 +238,7 @@ def repairing() -> Bench:
     bench.all_healthy()
     bench.now += 1
     bench.see("network", BAD)
-    bench.take(bench.tracker.begin_action("app", "network", "reconnect", bench.stamp(), 60.0, proving=True))
+    bench.take(bench.tracker.begin_action("app", "network", "reconnect", bench.stamp(), 60.0, verifying=True))
     bench.now += 1
     return bench
 
@@ -266,7 +266,7 @@ def test_a_unit_without_a_target_waits_for_verification_too() -> None:
     bench.later(10)
     bench.all_healthy()
     bench.see("consensus", BAD)
-    bench.take(bench.tracker.begin_action("app", "consensus", "restart", bench.stamp(), 60.0, proving=True))
+    bench.take(bench.tracker.begin_action("app", "consensus", "restart", bench.stamp(), 60.0, verifying=True))
     bench.now += 1
     bench.see("consensus", OK)
     assert bench.closed == []
@@ -285,7 +285,7 @@ def test_a_dependent_counts_as_unknown_if_it_was_ok_before() -> None:
     bench.see("topic", stale("no message type known"))
     bench.now += 1
     bench.see("network", BAD)
-    bench.take(bench.tracker.begin_action("app", "network", "reconnect", bench.stamp(), 60.0, proving=True))
+    bench.take(bench.tracker.begin_action("app", "network", "reconnect", bench.stamp(), 60.0, verifying=True))
     bench.now += 1
     done = bench.now
     bench.see("network", OK)
@@ -305,7 +305,7 @@ def test_a_partial_repair_leaves_the_fault_to_the_next_action() -> None:
     bench.take(bench.tracker.end_action("app", bench.stamp(), worked=False))
     bench.later(1.0)
     assert bench.closed == []
-    bench.take(bench.tracker.begin_action("app", "network", "restart", bench.stamp(), 60.0, proving=True))
+    bench.take(bench.tracker.begin_action("app", "network", "restart", bench.stamp(), 60.0, verifying=True))
     bench.see("network", OK)
     bench.see("nodes", OK)
     bench.take(bench.tracker.end_action("app", bench.stamp(), worked=True))
@@ -350,7 +350,7 @@ def test_a_late_repair_without_dependents_counts_as_soon_as_the_unit_is_ok() -> 
     bench.later(10)
     bench.all_healthy()
     bench.see("topics", BAD)
-    bench.take(bench.tracker.begin_action("app", "topics", "restart", bench.stamp(), 60.0, proving=True))
+    bench.take(bench.tracker.begin_action("app", "topics", "restart", bench.stamp(), 60.0, verifying=True))
     bench.later(12.0)
     bench.take(bench.tracker.end_action("app", bench.stamp(), worked=False))
     bench.later(1.0)
@@ -377,7 +377,7 @@ def test_a_unit_behind_another_target_waits_for_verification() -> None:
     bench.later(10)
     bench.all_healthy()
     bench.see("radio", BAD)
-    bench.take(bench.tracker.begin_action("link", "radio", "reopen", bench.stamp(), 60.0, proving=True))
+    bench.take(bench.tracker.begin_action("link", "radio", "reopen", bench.stamp(), 60.0, verifying=True))
     bench.see("gcs", BAD)
     bench.see("radio", OK)
     bench.see("gcs", BAD)
@@ -400,7 +400,7 @@ def test_the_restart_of_a_dependent_takes_no_credit_from_the_action_that_it_is_p
     bench.now += 1
     bench.see("container", BAD)
     bench.see("other", BAD)
-    bench.take(bench.tracker.begin_action("app", "container", "start", bench.stamp(), 60.0, proving=True))
+    bench.take(bench.tracker.begin_action("app", "container", "start", bench.stamp(), 60.0, verifying=True))
     bench.take(bench.tracker.begin_action("dependent", "container", "restart", bench.stamp(), 60.0))
     bench.take(bench.tracker.end_action("dependent", bench.stamp(), worked=True))
     bench.now += 1
@@ -449,7 +449,7 @@ def test_a_network_is_detached_although_the_start_of_its_container_is_not_verifi
     bench.later(10)
     bench.all_healthy()
     bench.see("container/app", BAD)
-    bench.take(bench.tracker.begin_action("app", "container/app", "start", bench.stamp(), 60.0, proving=True))
+    bench.take(bench.tracker.begin_action("app", "container/app", "start", bench.stamp(), 60.0, verifying=True))
     bench.take(bench.tracker.container_started("app", bench.stamp()))
     bench.later(3.1)
     results = {"container/app": OK, "network/app": OFF_NETWORK, "nodes/n": BAD, "health/app": BAD}

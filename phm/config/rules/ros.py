@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from phm.config.node import ConfigNode
 from phm.config.problems import unknown
 from phm.config.rules.common import configured, container_key, demand_field_of_type, report_duplicates, without_slash
-from phm.core.message_fields import demand_counter, demand_number, has_header
+from phm.core.message_fields import demand_counter, demand_value, has_header
 from phm.core.settings import Hertz
 
 _OWN_TOPICS = (
@@ -114,7 +116,7 @@ def examined_fields_exist(root: ConfigNode) -> None:
             demand_field_of_type(demand_counter, kind, data.get("counter"), data.get("counter").text)
         for name, limits in data.get("ranges").items():
             if isinstance(name, str):
-                demand_field_of_type(demand_number, kind, limits, name)
+                demand_field_of_type(partial(demand_value, number=True), kind, limits, name)
 
 
 def _number(value: object) -> bool:

@@ -15,6 +15,7 @@ class JoinNetwork(Action):
 
     name = "join_network"
     starts = False
+    leaves_running = True
     on_phm_itself = True
 
     # A network that PHM's container is on is there immediately.

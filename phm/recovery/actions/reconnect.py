@@ -42,6 +42,7 @@ class Reconnect(Action):
 
     name = "reconnect"
     impact = Impact.NETWORK
+    leaves_running = True
     # A node that has lost its network permanently stays listed until its lease ends (1 s with config/fastdds.xml).
     verify_after_s = 2.0
     # On a connected interface the kernel answers immediately. An address that is silent after this time stays silent.

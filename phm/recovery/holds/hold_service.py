@@ -17,6 +17,7 @@ from phm.core.clock import Clock
 from phm.core.model import Event, HoldChanged, Stamp
 from phm.core.settings import ContainerSettings, RecoverySettings
 from phm.facts import COMPLETE, CannotTell, ContainerFact, EventStreamFact
+from phm.recovery.holds.awaited_events import AwaitedEvents
 from phm.recovery.holds.flight_rules import FlightRules
 from phm.recovery.holds.hold_registry import ALL, MAX_TEXT, OPERATOR, STOP, WINDOW, Hold, HoldRegistry
 from phm.recovery.holds.maintenance_windows import MaintenanceWindows
@@ -37,17 +38,6 @@ WINDOWS_S, LABELS_S = 5.0, 30.0
 """Maintenance windows, and the labels that define some, are checked this often."""
 SLOW_S = 1.0
 """An engine that takes longer for an answer is asked for the other containers later: a hung one takes the full deadline for each."""
-REPLAYED_S = 0.15
-"""Once the event stream is open again, the engine sends the missed events within this time."""
-CLOSED_S = 3.0
-"""While the event stream is closed, recovery of an exited container waits at most until this long after the stream closed."""
-POLL_S = 0.1
-"""While the event stream is closed or a `die` is awaited, it is checked this often."""
-DIE_FOLLOWS_S = 1.0
-"""The `die` of a container that a check finds exited, or the `pause` of one that it finds paused, arrives within this time: within
-milliseconds on an idle machine."""
-STOP_MAX_S = 121.0
-"""The `kill` of a stop is at most this much older than its `die`, as far as PHM can know (`phm.probes.event_decoder.STOP_S`)."""
 _DONE = {StopVerdict.STOPPED: "stopped", StopVerdict.REMOVED: "removed"}
 _OVER = {"start": "it was started again", "unpause": "it was unpaused", "die": "it has ended"}
 """By event: why a stop or a pause by hand is over. A container that ends was paused, or runs: how it has ended decides from then on."""
@@ -98,7 +88,8 @@ class HoldService:
         self._keys = tuple(entry.key for entry in containers)
         self._stops = ManualStopDetector()
         self._windows = MaintenanceWindows(rules.maintenance, holds, lambda text: pipeline.note("HOLD", text))
-        holds.explained_until = self._explained_until
+        self._awaited = AwaitedEvents(world.stream)
+        holds.explained_until = self._awaited.until
         self._was_armed: bool | None = None
         self._windows_at = self._labels_due = float("-inf")
         self._labels: dict[str, str] = {}
@@ -108,11 +99,6 @@ class HoldService:
         """The newest data of each container, also of a removed one: containers in its namespaces depend on it."""
         self._flight = FlightRules(containers, world.armed, self._facts, world.inspect)
         self._seen: set[str] = set()
-        self._died: set[str] = set()
-        """Containers whose `die` or `pause` has arrived, and no `start` or `unpause` after it, and those that did not run before PHM
-        looked."""
-        self._exit_known: dict[str, float] = {}
-        """Since when recovery knows of an exit whose `die`, or a pause whose `pause`, has not arrived yet (monotonic seconds)."""
         self._lock = threading.RLock()
         self._wake, self._stopping = threading.Event(), False
         self._thread = threading.Thread(target=self._loop, name="phm-holds", daemon=True)
@@ -182,8 +168,8 @@ class HoldService:
         with self._lock:
             now, own = self._clock.mono(), self._world.own(container)
             late = own and not self._pipeline.action_on(container)
-            missed = self._kill_missed(now)
-            self._note_exit(container, action)
+            missed = self._awaited.kill_missed(now)
+            self._awaited.note(container, action)
             self._stops.event(
                 container, action, detail, now, own=own, late=late, missed=missed, container_id=container_id
             )
@@ -213,30 +199,6 @@ class HoldService:
         return max(0.0, min(dues)) if dues else None
 
     # ------------------------------------------------------------ inside
-
-    def _explained_until(self, key: str, now: float, paused: bool) -> float | None:
-        """While the event stream is closed, a stop looks like a crash; events are replayed when it is open again.
-
-        So does an exit that a periodic check finds before its `die` arrives, unless a `kill` would have come before it; and a pause
-        that it finds before its `pause` arrives.
-        """
-        stream = self._world.stream()
-        until = stream.since + (REPLAYED_S if stream.open else CLOSED_S)
-        if now < until:
-            return until if stream.open else min(until, now + POLL_S)
-        if not stream.open or key in self._died or not (paused or self._kill_missed(now)):
-            return None
-        until = self._exit_known.setdefault(key, now) + DIE_FOLLOWS_S
-        return min(until, now + POLL_S) if now < until else None
-
-    def _kill_missed(self, now: float) -> bool:
-        """Whether the `kill` of a container that exits now may have been missed."""
-        return now - self._world.stream().complete_since < STOP_MAX_S
-
-    def _note_exit(self, key: str, action: str) -> None:
-        if action in ("die", "pause", "start", "unpause"):
-            self._exit_known.pop(key, None)
-            (self._died.add if action in ("die", "pause") else self._died.discard)(key)
 
     def _loop(self) -> None:
         while not self._stopping:
@@ -386,12 +348,12 @@ class HoldService:
         if fact is not None:
             self._facts[key] = fact
         if fact is not None and fact.running:
-            self._died.discard(key)
+            self._awaited.found_running(key)
             if key not in self._seen or stopped:
                 with self._lock:  # perhaps it was started while PHM was not running
                     self._end_by_hand(key, _OVER["start"])
         elif key not in self._seen:
-            self._died.add(key)
+            self._awaited.found_ended(key)
         self._seen.add(key)
         return True
 

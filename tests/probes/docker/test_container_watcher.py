@@ -368,7 +368,7 @@ def test_a_start_begins_a_generation_once(
     monkeypatch.setattr(CONFIRM_S, CONFIRMED_S)
     fake.containers["app"]["State"]["StartedAt"] = "2030-01-01T00:00:00.0Z"
     until(lambda: len(events) == 4, "the lost restart")
-    assert [(event.action, event.lost, event.begins_life) for event in events] == [
+    assert [(event.action, event.lost, event.starts) for event in events] == [
         ("die", False, False),
         ("start", False, True),
         ("restart", False, False),

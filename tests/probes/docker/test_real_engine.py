@@ -189,7 +189,7 @@ def test_restarts_by_the_engine_are_counted_and_a_manual_start_resets_the_count(
     made.start()
     first = fact_of(docker, made.name)
     made.exec_run(["touch", "/tmp/go"])
-    until(lambda: [event.begins_life for event in events].count(True) == 2, "the restart by the policy")
+    until(lambda: [event.starts for event in events].count(True) == 2, "the restart by the policy")
     again = fact_of(docker, made.name)
     assert (first.restart_count, again.restart_count) == (0, 1)
     made.restart(timeout=0)
@@ -197,7 +197,7 @@ def test_restarts_by_the_engine_are_counted_and_a_manual_start_resets_the_count(
     by_hand = fact_of(docker, made.name)
     assert by_hand.restart_count == 0
     assert len({first.generation, again.generation, by_hand.generation}) == 3
-    assert [event.begins_life for event in events].count(True) == 3
+    assert [event.starts for event in events].count(True) == 3
 
 
 def test_networks_are_disconnected_and_connected_with_ids(

@@ -192,7 +192,7 @@ def test_a_stop_during_an_event_stream_outage_is_not_undone(
     """PHM sees that the container has ended before it gets the event: the alarm is raised, and PHM waits for the
     replay.
     """
-    monkeypatch.setattr("phm.recovery.holds.hold_service.CLOSED_S", 10 * LIMIT_S)
+    monkeypatch.setattr("phm.recovery.holds.awaited_events.CLOSED_S", 10 * LIMIT_S)
     agent = phm(**RESPECT)
     engine, watch = agent.daemon.components.probes.engine, agent.daemon.components.probes.watch
     agent.until(lambda: watch.fact.open, "the event stream to be open")

@@ -10,7 +10,8 @@ import pytest
 from phm.core.model import Fault, Level, Phase
 from phm.facts import EventStreamFact
 from phm.recovery.base import ActionContext
-from phm.recovery.holds.hold_service import CLOSED_S, DIE_FOLLOWS_S, LABELS_S
+from phm.recovery.holds.awaited_events import CLOSED_S, DIE_FOLLOWS_S
+from phm.recovery.holds.hold_service import LABELS_S
 from phm.recovery.safety.armed_state import ArmedState as ArmedState
 from tests.recovery.holds.scene import STOP, Scene, stopped
 from tests.recovery.simulated_agent import Containers

@@ -10,7 +10,7 @@ import pytest
 
 from phm.core.model import Level, Phase
 from phm.facts import EventStreamFact
-from phm.recovery.holds.hold_service import CLOSED_S, DIE_FOLLOWS_S
+from phm.recovery.holds.awaited_events import CLOSED_S, DIE_FOLLOWS_S
 from phm.recovery.safety.armed_state import ArmedState as ArmedState
 from tests.recovery.holds.scene import STOP, Scene
 

@@ -170,7 +170,7 @@ def test_reporters_know_what_waits_for_the_operator_over_restarts(lives: Callabl
         life.rest()
         life.die()
     life = lives(mode="advise", same_failure=1)
-    life.until(lambda: life.pipeline.bad_since(APP, life.clock.mono() - 1.0))
+    life.until(lambda: life.pipeline.confirmed_bad(APP, life.clock.mono() - 1.0))
     life.executor.approve(fault.id)
     assert life.executor.persisted().cases[fault.id].advised == ""
     life.until(lambda: Phase.ESCALATED in life.phases())

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-from phm.core.message_fields import UnknownField, demand_counter, demand_number, demand_value, has_other_stamps, stamps
+from phm.core.message_fields import UnknownField, demand_counter, demand_value, has_other_stamps, stamps
 from phm.facts.ros import FieldFact
 from phm.probes.ros.message_types import UnknownType, load_decodable
 from phm.probes.ros.protocol import WantedData
@@ -70,7 +70,7 @@ class Decoder:
         found = load_decodable(type_name)
         check_for_type_support(found)
         for limits in self._wanted.ranges:
-            demand_number(type_name, limits.field, class_fields)
+            demand_value(type_name, limits.field, class_fields, number=True)
         if self._wanted.counter:
             self.counter_bits = demand_counter(type_name, self._wanted.counter, class_fields)
         for name in self._wanted.fields:
