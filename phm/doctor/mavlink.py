@@ -47,6 +47,8 @@ def _serial(endpoint: EndpointSettings, context: DoctorContext) -> Row:
 def _listening(endpoint: EndpointSettings, context: DoctorContext) -> Row:
     scheme, host, port = _parts(endpoint)
     kind = socket.SOCK_DGRAM if scheme == "udpin" else socket.SOCK_STREAM
+    few = "; only containers on PHM's networks reach it, unless `ports:` of its Compose file publishes it"
+    reach = few if is_private() else ""
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         with socket.socket(family, kind) as probe:
@@ -55,10 +57,10 @@ def _listening(endpoint: EndpointSettings, context: DoctorContext) -> Row:
             probe.bind((host.strip("[]"), port))
     except OSError as error:
         if error.errno == errno.EADDRINUSE and _running(context):
-            return ok(endpoint.key, f"{endpoint.url}: port in use while PHM is running")
+            return ok(endpoint.key, f"{endpoint.url}: port in use while PHM is running{reach}")
         remedy = f"find the other program: ss -lntup 'sport = :{port}'; or use another port"
         return missing(endpoint.key, f"{endpoint.url}: {error.strerror or error}", remedy)
-    return ok(endpoint.key, f"{endpoint.url}: the port is free")
+    return ok(endpoint.key, f"{endpoint.url}: the port is free{reach}")
 
 
 def _sending(endpoint: EndpointSettings) -> Row:

@@ -192,7 +192,20 @@ def _network(answers: Answers) -> str:
             "    # extra_hosts:",
             f'    #   - "{HOST_NAME}:host-gateway" # this machine, e.g. for MAVLink',
         ]
-    return "\n".join(lines)
+    return "\n".join([*lines, *_listening(answers.mavlink)])
+
+
+def _listening(url: str) -> list[str]:
+    """The port of an endpoint that waits for peers. Without it, only containers on PHM's networks could reach PHM there."""
+    scheme, _, rest = url.partition(":")
+    if scheme not in ("udpin", "tcpin"):
+        return []
+    port = rest.rpartition(":")[2]
+    published = compose_quoted(f"127.0.0.1:{port}:{port}/{scheme.removesuffix('in')}")
+    return [
+        "    # The MAVLink endpoint, for programs of this machine. For others, an address of this machine, not 127.0.0.1.",
+        f"    ports:\n      - {published}",
+    ]
 
 
 def _devices(answers: Answers) -> str:

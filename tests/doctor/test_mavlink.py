@@ -40,6 +40,21 @@ def test_the_loopback_of_a_bridged_container_leads_nowhere(tmp_path: Path, monke
     assert (outside.state, inside.state) == ("ok", "limited") and "own container" in inside.text
 
 
+def test_who_reaches_a_waiting_endpoint_of_a_bridged_container_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is no defect: a router may be in a container beside it. On the host's network any program reaches it."""
+    monkeypatch.setattr(mavlink, "is_private", lambda: True)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        url = f"udpin:127.0.0.1:{free.getsockname()[1]}"
+    inside, there = judged(tmp_path, url)
+    monkeypatch.setattr(mavlink, "is_private", lambda: False)
+    (outside,) = rows(there)
+    assert (inside.state, outside.state) == ("ok", "ok")
+    assert "`ports:` of its Compose file" in inside.text and "Compose" not in outside.text
+
+
 def test_a_serial_port_must_exist(tmp_path: Path) -> None:
     """A missing port has the remedy to map the device into the container."""
     absent, _ = judged(tmp_path, str(tmp_path / "ttyACM0"))

@@ -104,6 +104,16 @@ def test_phm_is_in_the_groups_that_own_socket_and_serial_ports() -> None:
     assert service(made())["group_add"] == ["998", "20"]
 
 
+@pytest.mark.parametrize(
+    ("mavlink", "port"), [("udpin:0.0.0.0:14551", "14551:14551/udp"), ("tcpin:0.0.0.0:5760", "5760:5760/tcp")]
+)
+def test_the_port_of_an_endpoint_that_waits_for_peers_is_published(mavlink: str, port: str) -> None:
+    """On a bridge nothing else of this machine reaches it. On the host's network it is the host's own port."""
+    assert service(made(application("app"), mavlink=mavlink))["ports"] == [f"127.0.0.1:{port}"]
+    assert "ports" not in service(made(application("app"), mavlink=mavlink, network="host"))
+    assert "ports" not in service(made(application("app"), mavlink="udpout:10.0.0.5:14550"))
+
+
 def test_a_path_with_colons_is_mapped_in_the_long_form() -> None:
     """As udev names them by the place of the connector. In the short form, Compose takes a colon for the end of the path."""
     path = "/dev/serial/by-path/platform-fd500000.pcie-pci-0000:01:00.0-usb-0:1.1:1.0"
