@@ -24,6 +24,12 @@ ENGINE_S = 30.0
 """Longest wait for an answer. An engine that starts many containers may take longer than the 5 s that suit the daemon."""
 
 
+def _engine() -> str:
+    """Where `docker` looks for the engine, if PHM's container can reach it there, too."""
+    url = os.environ.get("DOCKER_HOST", "")
+    return url if url.startswith(("unix://", "tcp://")) else SOCKET
+
+
 def _deliver_at(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, int] | None:
     """The address of `--deliver`, which Docker publishes: one of this machine, no name."""
     import ipaddress
@@ -65,7 +71,7 @@ def _deliver_at(ctx: click.Context, param: click.Parameter, value: str | None) -
     help="Permit configurations over IP, at this address of this machine, with a key.  [default: read-only for PHM]",
 )
 @click.option("--no-ros", is_flag=True, help="Do not look for ROS nodes.")
-@click.option("--socket", default=SOCKET, show_default=True, help="Address of the Docker Engine.")
+@click.option("--socket", default=_engine, help=f"Address of the Docker Engine.  [default: DOCKER_HOST, else {SOCKET}]")
 def command(
     directory: Path,
     socket: str,
@@ -84,13 +90,14 @@ def command(
     from phm.facts import CannotTell
     from phm.setup import discovery, folder
     from phm.setup.questions import Interview
-    from phm.transport.docker import DockerEngine
+    from phm.transport.docker import DockerEngine, EngineNotConnected
 
     engine, dev = DockerEngine(socket, ENGINE_S), Path(os.environ.get("PHM_DEV_ROOT", "/dev"))
     try:
         machine = discovery.inspect_machine(engine, dev)
     except CannotTell as error:
-        _fail(_remedy(socket) or str(error))
+        other = "; or name it with --socket" if isinstance(error, EngineNotConnected) else ""
+        _fail(_remedy(socket) or f"{error}{other}")
     _show(machine)
     interview = Interview(machine, _given(given))
     answers = replace(_ask(interview, yes=yes), deliver=deliver)
@@ -129,7 +136,10 @@ def _remedy(socket: str) -> str:
     path = socket.removeprefix("unix://")
     if not os.path.exists(path) or os.access(path, os.R_OK | os.W_OK):
         return ""
-    return f"you may not open {path}: run `phm init` with sudo, or `sudo usermod -aG docker $USER` and log in again"
+    group = "create the group: `sudo groupadd docker`, and restart Docker"
+    if os.stat(path).st_gid:
+        group = "`sudo usermod -aG docker $USER` and log in again"
+    return f"you may not open {path}: run `phm init` with sudo, or {group}"
 
 
 def _given(options: dict[str, Any]) -> dict[str, Any]:

@@ -10,6 +10,9 @@ from phm.doctor.context import DoctorContext
 from phm.doctor.row import Row, limited, missing, ok
 from phm.setup.discovery import serial_ports
 
+_NO_GROUP = "run it with sudo, or create the group: `sudo groupadd docker`, and restart Docker"
+"""For a socket of the group of root, which Docker makes where the group docker does not exist."""
+
 
 def rows(context: DoctorContext) -> Iterator[Row]:
     own = sorted({os.getegid(), *os.getgroups()})
@@ -40,7 +43,7 @@ def _socket(context: DoctorContext) -> Iterator[Row]:
         yield ok("socket", f"{path} belongs to group {group_name(owner)}: PHM may open it")
     else:
         text = f"{path} belongs to group {group_name(owner)}: PHM may not open it"
-        yield missing("socket", text, _join(owner, context))
+        yield missing("socket", text, _join(owner, context) if owner or context.in_container else _NO_GROUP)
 
 
 def _join(number: int, context: DoctorContext) -> str:

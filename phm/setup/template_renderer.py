@@ -176,8 +176,8 @@ def _groups(machine: Machine) -> str:
     if machine.socket_group_id is not None:
         found[machine.socket_group_id] = machine.socket
     for port in machine.serial_ports:
-        found.setdefault(port.group_id, port.path)
-    found.pop(0, None)
+        if port.group_id:
+            found.setdefault(port.group_id, port.path)
     return "".join(f'\n      - "{number}" # owner of {path}' for number, path in found.items()) or _EMPTY
 
 

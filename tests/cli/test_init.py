@@ -10,6 +10,7 @@ import yaml
 from click.testing import CliRunner, Result
 
 from phm.cli import group
+from phm.cli.init import SOCKET, _engine
 from phm.setup import discovery, ros_nodes
 from phm.setup.machine import SerialPort
 from tests.fakes.engine import FakeEngine
@@ -164,6 +165,17 @@ def test_without_an_engine_the_remedy_is_printed(tmp_path: Path) -> None:
     """The exit code is 1, and the message says what to start."""
     done = CliRunner().invoke(group, ["init", str(tmp_path), "--yes", "--socket", f"unix://{tmp_path}/none"])
     assert done.exit_code == 1 and "start the Docker Engine" in done.stderr
+    assert "or name it with --socket" in done.stderr
+
+
+def test_the_engine_is_that_of_docker(fake: FakeEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As for a rootless engine. Not one that PHM's container cannot reach in the same way."""
+    monkeypatch.setenv("DOCKER_HOST", fake.url)
+    done = CliRunner().invoke(group, ["init", str(tmp_path / "phm"), "--yes", "--no-ros"])
+    assert done.exit_code == 0, done.output
+    assert f"{fake.path}:/var/run/docker.sock" in (tmp_path / "phm" / "compose.yaml").read_text()
+    monkeypatch.setenv("DOCKER_HOST", "ssh://pi@drone1")
+    assert _engine() == SOCKET
 
 
 def test_a_user_who_may_not_open_the_socket_learns_what_to_do(

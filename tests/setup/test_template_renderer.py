@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -102,6 +103,13 @@ def test_an_application_on_the_hosts_network_has_phm_there_too() -> None:
 def test_phm_is_in_the_groups_that_own_socket_and_serial_ports() -> None:
     """By number: the image does not know the names of the host."""
     assert service(made())["group_add"] == ["998", "20"]
+
+
+def test_only_the_socket_may_belong_to_the_group_of_root() -> None:
+    """As for an engine without the group docker, or a rootless one. A serial port of this group is not given to PHM."""
+    found = replace(machine(ports=(SerialPort("/dev/ttyS0", 0),)), socket_group_id=0)
+    assert service(render(found, answers()))["group_add"] == ["0"]
+    assert service(render(replace(found, socket_group_id=None), answers()))["group_add"] == []
 
 
 @pytest.mark.parametrize(
