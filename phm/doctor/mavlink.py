@@ -11,9 +11,11 @@ from phm.core.settings import EndpointSettings
 from phm.doctor.context import DoctorContext
 from phm.doctor.row import Row, limited, missing, ok
 from phm.probes.serial_port_users import users
-from phm.transport.own_network import is_loopback, is_private
+from phm.transport.own_network import HOST_NAME, is_loopback, is_private
 from phm.transport.serial_errors import place
 from phm.wire import status_file
+
+_ADD_HOST = f"add `extra_hosts: [\"{HOST_NAME}:host-gateway\"]` to PHM's service, or with host networking use 127.0.0.1"
 
 
 def rows(context: DoctorContext) -> Iterator[Row]:
@@ -68,9 +70,8 @@ def _sending(endpoint: EndpointSettings) -> Row:
     try:
         address = socket.getaddrinfo(host.strip("[]"), port, type=socket.SOCK_DGRAM)[0][4][0]
     except OSError as error:
-        return missing(
-            endpoint.key, f"{host} cannot be resolved: {error.strerror or error}", "correct the host in the url"
-        )
+        remedy = _ADD_HOST if host == HOST_NAME else "correct the host in the url"
+        return missing(endpoint.key, f"{host} cannot be resolved: {error.strerror or error}", remedy)
     if not is_loopback(endpoint.url):
         return ok(endpoint.key, f"{endpoint.url} resolves to {address}")
     if is_private():

@@ -184,15 +184,13 @@ def _groups(machine: Machine) -> str:
 def _network(answers: Answers) -> str:
     if answers.network == "host":
         return "    # For an application on the host's network: ROS 2 discovery does not cross from there to a bridge.\n    network_mode: host"
-    lines = ["    # PHM connects itself to the networks that phm.yaml names."]
-    if HOST_NAME in answers.mavlink:
-        lines += ["    extra_hosts:", f'      - "{HOST_NAME}:host-gateway" # this machine, for MAVLink']
-    else:
-        lines += [
-            "    # extra_hosts:",
-            f'    #   - "{HOST_NAME}:host-gateway" # this machine, e.g. for MAVLink',
-        ]
-    return "\n".join([*lines, *_listening(answers.mavlink)])
+    lines = [
+        "    # PHM connects itself to the networks that phm.yaml names.",
+        "    extra_hosts:",
+        f'      - "{HOST_NAME}:host-gateway" # this machine, e.g. for MAVLink',
+        *_listening(answers.mavlink),
+    ]
+    return "\n".join(lines)
 
 
 def _listening(url: str) -> list[str]:

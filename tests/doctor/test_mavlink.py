@@ -55,6 +55,22 @@ def test_who_reaches_a_waiting_endpoint_of_a_bridged_container_is_said(
     assert "`ports:` of its Compose file" in inside.text and "Compose" not in outside.text
 
 
+@pytest.mark.parametrize(
+    ("host", "remedy"), [("host.docker.internal", 'extra_hosts: ["host.docker.internal:host-gateway"]'), ("gcs", "correct")]
+)
+def test_a_name_that_is_not_known_has_a_remedy(
+    host: str, remedy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The name of the host needs a line in the Compose file; any other one may be wrong."""
+
+    def unknown(*_: object, **__: object) -> None:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(socket, "getaddrinfo", unknown)
+    found, _ = judged(tmp_path, f"udpout:{host}:14551")
+    assert found.state == "missing" and remedy in found.remedy
+
+
 def test_a_serial_port_must_exist(tmp_path: Path) -> None:
     """A missing port has the remedy to map the device into the container."""
     absent, _ = judged(tmp_path, str(tmp_path / "ttyACM0"))

@@ -82,6 +82,7 @@ def test_a_bridged_application_has_its_networks_and_devices() -> None:
     assert [device.path for device in entry.devices] == ["/dev/ttyACM0"]
     assert "network_mode" not in service(texts)
     assert service(texts)["extra_hosts"] == ["host.docker.internal:host-gateway"]
+    assert service(made(app, mavlink="/dev/ttyACM0"))["extra_hosts"] == service(texts)["extra_hosts"]
 
 
 @pytest.mark.parametrize("more", [[], ["/dev/ttyACM0"]])
