@@ -237,16 +237,18 @@ def _show(machine: Machine) -> None:
 
 
 def _show_differences(machine: Machine, answers: Answers, texts: dict[str, str]) -> None:
-    """One PHM has one ROS environment, which may not fit each container."""
+    """What PHM's image lacks for the application, and containers that the ROS environment of PHM does not fit."""
     from phm.setup import answers as decided
-    from phm.setup.ros_settings import remaining_differences
+    from phm.setup.ros_settings import image_need, remaining_differences, source
     from phm.setup.template_renderer import ENVIRONMENT
     from phm.wire.text import one_line
 
     watched = decided.containers(machine, answers.containers) if answers.containers else ()
-    for name, found in remaining_differences(texts[ENVIRONMENT], watched, answers.network):
-        receives = "PHM does not receive" if found.certain else "PHM may not receive"
-        click.echo(one_line(f"{receives} the ROS nodes of {name}: {found.text}"))
+    if (found := source(machine, watched)) is not None and (need := image_need(found)):
+        click.echo(one_line(need))
+    for name, difference in remaining_differences(texts[ENVIRONMENT], watched, answers.network):
+        receives = "PHM does not receive" if difference.certain else "PHM may not receive"
+        click.echo(one_line(f"{receives} the ROS nodes of {name}: {difference.text}"))
 
 
 def _finish(directory: Path, answers: Answers, *, owned: bool) -> None:

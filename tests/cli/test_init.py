@@ -130,6 +130,14 @@ def test_each_container_is_compared_with_what_was_written(fake: FakeEngine, tmp_
     )
 
 
+def test_a_middleware_that_the_image_may_lack_is_named(fake: FakeEngine, tmp_path: Path) -> None:
+    """Otherwise only a comment in agent.env would say so."""
+    fake.containers["ros_app"] = described("ros_app", env={"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"})
+    done = init(fake, tmp_path, "--yes", "--mavlink", "none")
+    assert done.exit_code == 0, done.output
+    assert "PHM's image must have rmw_cyclonedds_cpp: build it from a ROS base image" in done.output
+
+
 def test_without_a_terminal_the_missing_options_are_named(fake: FakeEngine, tmp_path: Path) -> None:
     """Nothing is written, and nothing waits for input."""
     done = init(fake, tmp_path / "phm", "--id", "3")
