@@ -14,6 +14,8 @@ import click
 from phm.cli.web_options import address
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from phm.setup.answers import Answers
     from phm.setup.machine import Machine
     from phm.setup.questions import Interview, Question
@@ -89,6 +91,7 @@ def command(
     """
     from phm.facts import CannotTell
     from phm.setup import discovery, folder
+    from phm.setup.answers import DELIVERED
     from phm.setup.questions import Interview
     from phm.transport.docker import DockerEngine, EngineNotConnected
 
@@ -111,7 +114,7 @@ def command(
         if not logs.is_relative_to(directory):
             folder.make_log_folder(logs)  # nothing is written if that fails
         folder.write(directory, texts, force=force)
-        folder.make_log_folder(logs)
+        writable = folder.make_log_folder(logs)
         owned = not deliver or _prepare_deliveries(directory)
     except folder.FilesExist as error:
         _fail(str(error))
@@ -119,7 +122,8 @@ def command(
         _fail(f"{error.filename or directory} cannot be written: {error.strerror or error}")
     click.echo(f"wrote {', '.join(sorted(texts))} to {directory}")
     _show_differences(machine, answers, texts)
-    _finish(directory, answers, owned=owned)
+    foreign = [path for path, own in ((directory / DELIVERED, owned), (logs, writable)) if not own]
+    _finish(directory, answers, foreign)
 
 
 def _prepare_deliveries(directory: Path) -> bool:
@@ -251,14 +255,17 @@ def _show_differences(machine: Machine, answers: Answers, texts: dict[str, str])
         click.echo(one_line(f"{receives} the ROS nodes of {name}: {difference.text}"))
 
 
-def _finish(directory: Path, answers: Answers, *, owned: bool) -> None:
-    """owned: the delivered configuration belongs to PHM's user."""
-    from phm.setup.answers import DELIVERED, DELIVERY_KEY
+def _finish(directory: Path, answers: Answers, foreign: Sequence[Path]) -> None:
+    """foreign: folders that PHM's user must write to, and may not."""
+    from phm.setup.answers import DELIVERY_KEY
     from phm.setup.folder import PHM_USER
 
     click.echo("Next:")
-    if not owned:
-        click.echo(f"  sudo chown -R {PHM_USER}:{PHM_USER} {quote(str(directory / DELIVERED))}")
+    for path in foreign:
+        if path != directory and path.is_relative_to(directory):
+            click.echo(f"  sudo chown -R {PHM_USER}:{PHM_USER} {quote(str(path))}")
+        else:  # other programs may need it, e.g. /var/log
+            click.echo(f"  make {path} writable for user {PHM_USER}, or name another folder with --logs")
     click.echo(f"  cd {quote(str(directory))} && docker compose up -d")
     click.echo("  docker compose exec phm phm status")
     click.echo("`phm learn` then adds nodes, topics and rates, and `phm doctor` shows what PHM can use.")

@@ -63,6 +63,19 @@ def test_nothing_is_written_where_the_log_folder_cannot_be_made(fake: FakeEngine
     assert (tmp_path / "logs").is_dir()
 
 
+def test_a_log_folder_that_phm_may_not_write_to_is_named(fake: FakeEngine, tmp_path: Path) -> None:
+    """Docker makes a deleted one again as root. A folder that others use keeps its owner."""
+    (tmp_path / "phm" / "logs").mkdir(parents=True)
+    (tmp_path / "var").mkdir()
+    for path in (tmp_path / "phm" / "logs", tmp_path / "var"):
+        path.chmod(0o755)
+    done = init(fake, tmp_path / "phm", "--yes")
+    assert f"  sudo chown -R 10001:10001 {tmp_path}/phm/logs\n" in done.output
+    done = init(fake, tmp_path / "phm", "--yes", "--force", "--logs", str(tmp_path / "var"))
+    assert f"  make {tmp_path}/var writable for user 10001, or name another" in done.output
+    assert "chown" not in done.output
+
+
 def test_the_next_command_works_for_any_name_of_the_folder(fake: FakeEngine, tmp_path: Path) -> None:
     """One with a space is quoted."""
     done = init(fake, tmp_path / "my agent", "--yes")
