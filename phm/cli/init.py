@@ -143,7 +143,9 @@ def _remedy(socket: str) -> str:
     group = "create the group: `sudo groupadd docker`, and restart Docker"
     if os.stat(path).st_gid:
         group = "`sudo usermod -aG docker $USER` and log in again"
-    return f"you may not open {path}: run `phm init` with sudo, or {group}"
+    # By its path: sudo looks only into its own folders, and pipx installs into ~/.local/bin.
+    own = quote(os.path.abspath(sys.argv[0]))
+    return f"you may not open {path}: run `sudo {own} init`, or {group}"
 
 
 def _given(options: dict[str, Any]) -> dict[str, Any]:

@@ -202,11 +202,12 @@ def test_the_engine_is_that_of_docker(fake: FakeEngine, tmp_path: Path, monkeypa
 def test_a_user_who_may_not_open_the_socket_learns_what_to_do(
     fake: FakeEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Exit code 1, and to use sudo."""
+    """Exit code 1, and to use sudo, which finds only a path: pipx installs into ~/.local/bin."""
     monkeypatch.setattr("phm.cli.init.os.access", lambda *_: False)
+    monkeypatch.setattr("sys.argv", ["/home/my pi/.local/bin/phm", "init"])
     fake.fault = Status(403, "no")
     done = init(fake, tmp_path / "phm", "--yes")
-    assert done.exit_code == 1 and "with sudo" in done.stderr
+    assert done.exit_code == 1 and "run `sudo '/home/my pi/.local/bin/phm' init`, or" in done.stderr
 
 
 def test_nodes_of_the_graph_are_written(fake: FakeEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -127,7 +127,7 @@ def problem(words: list[str]) -> str:
         return f"{missing[0]} does not exist"
     if program == "sudo":
         return problem(arguments[2:] if arguments[:1] == ["-u"] else arguments)
-    program = re.sub(r"^[\w./~-]+/bin/", "", program)  # of an environment
+    program = re.sub(r"^[\w./~-]+/bin/|^\$\(command -v (\w+)\)$", r"\1", program)  # of an environment
     if program == "phm":
         return of_phm(arguments)
     if program == "docker":
