@@ -59,6 +59,7 @@ FOREIGN = frozenset(
         "sed",
         "sha256sum",
         "source",
+        "ssh",
         "stat",
         "sysctl",
         "systemctl",
