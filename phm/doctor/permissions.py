@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import grp
 import os
+import pwd
 from collections.abc import Iterator
 
 from phm.doctor.context import DoctorContext
@@ -49,7 +50,15 @@ def _socket(context: DoctorContext) -> Iterator[Row]:
 def _join(number: int, context: DoctorContext) -> str:
     if context.in_container:
         return f'add "{number}" to group_add in the compose file'
-    return f"sudo usermod -aG {group_name(number)} $USER, and log in again"
+    return f"sudo usermod -aG {group_name(number)} {_user()}, and log in again"
+
+
+def _user() -> str:
+    """Of this process, which may be another one than that of the shell, as with `sudo -u phm`."""
+    try:
+        return pwd.getpwuid(os.geteuid()).pw_name
+    except KeyError:
+        return str(os.geteuid())
 
 
 def group_name(number: int) -> str:
