@@ -201,7 +201,8 @@ def _listening(url: str) -> list[str]:
     port = rest.rpartition(":")[2]
     published = compose_quoted(f"127.0.0.1:{port}:{port}/{scheme.removesuffix('in')}")
     return [
-        "    # The MAVLink endpoint, for programs of this machine. For others, an address of this machine, not 127.0.0.1.",
+        "    # The MAVLink endpoint, for programs of this machine. For those of other machines, write an address of this",
+        "    # machine instead of 127.0.0.1.",
         f"    ports:\n      - {published}",
     ]
 

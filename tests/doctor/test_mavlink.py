@@ -43,7 +43,7 @@ def test_the_loopback_of_a_bridged_container_leads_nowhere(tmp_path: Path, monke
 def test_who_reaches_a_waiting_endpoint_of_a_bridged_container_is_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is no defect: a router may be in a container beside it. On the host's network any program reaches it."""
+    """Without a defect: a router may be in a container beside it. On the host's network any program reaches it."""
     monkeypatch.setattr(mavlink, "is_private", lambda: True)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
@@ -56,7 +56,8 @@ def test_who_reaches_a_waiting_endpoint_of_a_bridged_container_is_said(
 
 
 @pytest.mark.parametrize(
-    ("host", "remedy"), [("host.docker.internal", 'extra_hosts: ["host.docker.internal:host-gateway"]'), ("gcs", "correct")]
+    ("host", "remedy"),
+    [("host.docker.internal", 'extra_hosts: ["host.docker.internal:host-gateway"]'), ("gcs", "correct")],
 )
 def test_a_name_that_is_not_known_has_a_remedy(
     host: str, remedy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
