@@ -163,6 +163,9 @@ class Link(api.Check):
 
     def _connection(self, link: api.LinkFact) -> tuple[str, str]:
         said = clean(link.error) or "no reason given"
+        if said.startswith("the name host.docker.internal "):  # as phm.transport.dns begins
+            line = '`extra_hosts: ["host.docker.internal:host-gateway"]`'
+            return f"{said}: add {line} to PHM's service, or with host networking use 127.0.0.1", clean(said, 24)
         what = "the router" if self.entry.leads_to == "router" else "the other side"
         if link.code == errno.ECONNREFUSED:
             return f"nothing listens at {self.entry.url} ({said}): check that {what} runs", "refused"

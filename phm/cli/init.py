@@ -14,6 +14,8 @@ import click
 from phm.cli.web_options import address
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from phm.setup.answers import Answers
     from phm.setup.machine import Machine
     from phm.setup.questions import Interview, Question
@@ -22,6 +24,12 @@ if TYPE_CHECKING:
 SOCKET = "unix:///var/run/docker.sock"
 ENGINE_S = 30.0
 """Longest wait for an answer. An engine that starts many containers may take longer than the 5 s that suit the daemon."""
+
+
+def _engine() -> str:
+    """Where `docker` looks for the engine, if PHM's container can reach it there, too."""
+    url = os.environ.get("DOCKER_HOST", "")
+    return url if url.startswith(("unix://", "tcp://")) else SOCKET
 
 
 def _deliver_at(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, int] | None:
@@ -65,7 +73,7 @@ def _deliver_at(ctx: click.Context, param: click.Parameter, value: str | None) -
     help="Permit configurations over IP, at this address of this machine, with a key.  [default: read-only for PHM]",
 )
 @click.option("--no-ros", is_flag=True, help="Do not look for ROS nodes.")
-@click.option("--socket", default=SOCKET, show_default=True, help="Address of the Docker Engine.")
+@click.option("--socket", default=_engine, help=f"Address of the Docker Engine.  [default: DOCKER_HOST, else {SOCKET}]")
 def command(
     directory: Path,
     socket: str,
@@ -83,14 +91,16 @@ def command(
     """
     from phm.facts import CannotTell
     from phm.setup import discovery, folder
+    from phm.setup.answers import DELIVERED
     from phm.setup.questions import Interview
-    from phm.transport.docker import DockerEngine
+    from phm.transport.docker import DockerEngine, EngineNotConnected
 
     engine, dev = DockerEngine(socket, ENGINE_S), Path(os.environ.get("PHM_DEV_ROOT", "/dev"))
     try:
         machine = discovery.inspect_machine(engine, dev)
     except CannotTell as error:
-        _fail(_remedy(socket) or str(error))
+        other = "; or name it with --socket" if isinstance(error, EngineNotConnected) else ""
+        _fail(_remedy(socket) or f"{error}{other}")
     _show(machine)
     interview = Interview(machine, _given(given))
     answers = replace(_ask(interview, yes=yes), deliver=deliver)
@@ -104,7 +114,7 @@ def command(
         if not logs.is_relative_to(directory):
             folder.make_log_folder(logs)  # nothing is written if that fails
         folder.write(directory, texts, force=force)
-        folder.make_log_folder(logs)
+        writable = folder.make_log_folder(logs)
         owned = not deliver or _prepare_deliveries(directory)
     except folder.FilesExist as error:
         _fail(str(error))
@@ -112,7 +122,8 @@ def command(
         _fail(f"{error.filename or directory} cannot be written: {error.strerror or error}")
     click.echo(f"wrote {', '.join(sorted(texts))} to {directory}")
     _show_differences(machine, answers, texts)
-    _finish(directory, answers, owned=owned)
+    foreign = [path for path, own in ((directory / DELIVERED, owned), (logs, writable)) if not own]
+    _finish(directory, answers, foreign)
 
 
 def _prepare_deliveries(directory: Path) -> bool:
@@ -129,7 +140,12 @@ def _remedy(socket: str) -> str:
     path = socket.removeprefix("unix://")
     if not os.path.exists(path) or os.access(path, os.R_OK | os.W_OK):
         return ""
-    return f"you may not open {path}: run `phm init` with sudo, or `sudo usermod -aG docker $USER` and log in again"
+    group = "create the group: `sudo groupadd docker`, and restart Docker"
+    if os.stat(path).st_gid:
+        group = "`sudo usermod -aG docker $USER` and log in again"
+    # By its path: sudo looks only into its own folders, and pipx installs into ~/.local/bin.
+    own = quote(os.path.abspath(sys.argv[0]))
+    return f"you may not open {path}: run `sudo {own} init`, or {group}"
 
 
 def _given(options: dict[str, Any]) -> dict[str, Any]:
@@ -227,26 +243,31 @@ def _show(machine: Machine) -> None:
 
 
 def _show_differences(machine: Machine, answers: Answers, texts: dict[str, str]) -> None:
-    """One PHM has one ROS environment, which may not fit each container."""
+    """What PHM's image lacks for the application, and containers that the ROS environment of PHM does not fit."""
     from phm.setup import answers as decided
-    from phm.setup.ros_settings import remaining_differences
+    from phm.setup.ros_settings import image_need, remaining_differences, source
     from phm.setup.template_renderer import ENVIRONMENT
     from phm.wire.text import one_line
 
     watched = decided.containers(machine, answers.containers) if answers.containers else ()
-    for name, found in remaining_differences(texts[ENVIRONMENT], watched, answers.network):
-        receives = "PHM does not receive" if found.certain else "PHM may not receive"
-        click.echo(one_line(f"{receives} the ROS nodes of {name}: {found.text}"))
+    if (found := source(machine, watched)) is not None and (need := image_need(found)):
+        click.echo(one_line(need))
+    for name, difference in remaining_differences(texts[ENVIRONMENT], watched, answers.network):
+        receives = "PHM does not receive" if difference.certain else "PHM may not receive"
+        click.echo(one_line(f"{receives} the ROS nodes of {name}: {difference.text}"))
 
 
-def _finish(directory: Path, answers: Answers, *, owned: bool) -> None:
-    """owned: the delivered configuration belongs to PHM's user."""
-    from phm.setup.answers import DELIVERED, DELIVERY_KEY
+def _finish(directory: Path, answers: Answers, foreign: Sequence[Path]) -> None:
+    """foreign: folders that PHM's user must write to, and may not."""
+    from phm.setup.answers import DELIVERY_KEY
     from phm.setup.folder import PHM_USER
 
     click.echo("Next:")
-    if not owned:
-        click.echo(f"  sudo chown -R {PHM_USER}:{PHM_USER} {quote(str(directory / DELIVERED))}")
+    for path in foreign:
+        if path != directory and path.is_relative_to(directory):
+            click.echo(f"  sudo chown -R {PHM_USER}:{PHM_USER} {quote(str(path))}")
+        else:  # other programs may need it, e.g. /var/log
+            click.echo(f"  make {path} writable for user {PHM_USER}, or name another folder with --logs")
     click.echo(f"  cd {quote(str(directory))} && docker compose up -d")
     click.echo("  docker compose exec phm phm status")
     click.echo("`phm learn` then adds nodes, topics and rates, and `phm doctor` shows what PHM can use.")

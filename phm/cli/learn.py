@@ -160,6 +160,7 @@ def _progress(text: str, seconds: float) -> None:
 
 def _print(old: str, new: str, name: str, baseline: Baseline, *, diff: bool, as_json: bool, printed: bool) -> None:
     from phm.learn.baseline_merger import unified_diff
+    from phm.wire.text import one_line
 
     if as_json:
         click.echo(json.dumps(_document(old, new, baseline), indent=2))
@@ -169,8 +170,9 @@ def _print(old: str, new: str, name: str, baseline: Baseline, *, diff: bool, as_
             click.echo(click.style(line, fg=colors.get(line[:1])))
     elif printed:
         click.echo(new, nl=False)
-    unsure = baseline.unsure()
-    if unsure or baseline.notes:
+    for note in baseline.notes:
+        click.echo(f"phm learn: {one_line(note)}", err=True)
+    if unsure := baseline.unsure():
         click.echo(f"phm learn: {len(unsure)} settings are uncertain, see the comments `learned:`", err=True)
 
 

@@ -134,6 +134,12 @@ def _loopback(good: Configuration) -> list[str]:
             "the host use udpout:host.docker.internal:14550 with `extra_hosts: [host.docker.internal:host-gateway]`, or `network_mode: "
             "host`; for one in another container, its name"
         )
+    waiting = [entry.url for entry in good.settings.mavlink.endpoints if entry.url.startswith(("udpin:", "tcpin:"))]
+    if waiting:
+        found.append(
+            f"{good.file}: mavlink.endpoints: {', '.join(waiting)} can be reached only by containers on PHM's networks, unless `ports:` "
+            "of its Compose file publishes it"
+        )
     metrics = good.settings.metrics
     if metrics.listen and is_own_address(metrics.address[0]):
         port = metrics.address[1]

@@ -11,9 +11,11 @@ from phm.core.settings import EndpointSettings
 from phm.doctor.context import DoctorContext
 from phm.doctor.row import Row, limited, missing, ok
 from phm.probes.serial_port_users import users
-from phm.transport.own_network import is_loopback, is_private
+from phm.transport.own_network import HOST_NAME, is_loopback, is_private
 from phm.transport.serial_errors import place
 from phm.wire import status_file
+
+_ADD_HOST = f"add `extra_hosts: [\"{HOST_NAME}:host-gateway\"]` to PHM's service, or with host networking use 127.0.0.1"
 
 
 def rows(context: DoctorContext) -> Iterator[Row]:
@@ -47,6 +49,8 @@ def _serial(endpoint: EndpointSettings, context: DoctorContext) -> Row:
 def _listening(endpoint: EndpointSettings, context: DoctorContext) -> Row:
     scheme, host, port = _parts(endpoint)
     kind = socket.SOCK_DGRAM if scheme == "udpin" else socket.SOCK_STREAM
+    few = "; only containers on PHM's networks reach it, unless `ports:` of its Compose file publishes it"
+    reach = few if is_private() else ""
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         with socket.socket(family, kind) as probe:
@@ -55,10 +59,10 @@ def _listening(endpoint: EndpointSettings, context: DoctorContext) -> Row:
             probe.bind((host.strip("[]"), port))
     except OSError as error:
         if error.errno == errno.EADDRINUSE and _running(context):
-            return ok(endpoint.key, f"{endpoint.url}: port in use while PHM is running")
+            return ok(endpoint.key, f"{endpoint.url}: port in use while PHM is running{reach}")
         remedy = f"find the other program: ss -lntup 'sport = :{port}'; or use another port"
         return missing(endpoint.key, f"{endpoint.url}: {error.strerror or error}", remedy)
-    return ok(endpoint.key, f"{endpoint.url}: the port is free")
+    return ok(endpoint.key, f"{endpoint.url}: the port is free{reach}")
 
 
 def _sending(endpoint: EndpointSettings) -> Row:
@@ -66,9 +70,8 @@ def _sending(endpoint: EndpointSettings) -> Row:
     try:
         address = socket.getaddrinfo(host.strip("[]"), port, type=socket.SOCK_DGRAM)[0][4][0]
     except OSError as error:
-        return missing(
-            endpoint.key, f"{host} cannot be resolved: {error.strerror or error}", "correct the host in the url"
-        )
+        remedy = _ADD_HOST if host == HOST_NAME else "correct the host in the url"
+        return missing(endpoint.key, f"{host} cannot be resolved: {error.strerror or error}", remedy)
     if not is_loopback(endpoint.url):
         return ok(endpoint.key, f"{endpoint.url} resolves to {address}")
     if is_private():

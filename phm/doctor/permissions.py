@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import grp
 import os
+import pwd
 from collections.abc import Iterator
 
 from phm.doctor.context import DoctorContext
 from phm.doctor.row import Row, limited, missing, ok
 from phm.setup.discovery import serial_ports
+
+_NO_GROUP = "run it with sudo, or create the group: `sudo groupadd docker`, and restart Docker"
+"""For a socket of the group of root, which Docker makes where the group docker does not exist."""
 
 
 def rows(context: DoctorContext) -> Iterator[Row]:
@@ -40,13 +44,21 @@ def _socket(context: DoctorContext) -> Iterator[Row]:
         yield ok("socket", f"{path} belongs to group {group_name(owner)}: PHM may open it")
     else:
         text = f"{path} belongs to group {group_name(owner)}: PHM may not open it"
-        yield missing("socket", text, _join(owner, context))
+        yield missing("socket", text, _join(owner, context) if owner or context.in_container else _NO_GROUP)
 
 
 def _join(number: int, context: DoctorContext) -> str:
     if context.in_container:
         return f'add "{number}" to group_add in the compose file'
-    return f"sudo usermod -aG {group_name(number)} $USER, and log in again"
+    return f"sudo usermod -aG {group_name(number)} {_user()}, and log in again"
+
+
+def _user() -> str:
+    """Of this process, which may be another one than that of the shell, as with `sudo -u phm`."""
+    try:
+        return pwd.getpwuid(os.geteuid()).pw_name
+    except KeyError:
+        return str(os.geteuid())
 
 
 def group_name(number: int) -> str:

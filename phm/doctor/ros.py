@@ -16,11 +16,14 @@ from phm.doctor.context import DoctorContext
 from phm.doctor.row import Row, limited, missing, ok
 from phm.facts import CannotTell, RosEnvironment
 from phm.probes.ros.environment import of_container, of_phm
-from phm.probes.ros.environment_differences import differences, rmw
+from phm.probes.ros.environment_differences import DEFAULT_RMW, differences, rmw
+from phm.wire.text import one_line
 
 CHILD_LIMIT_S = 15.0
 MAX_NAME = 40
-"""Characters of the command of a process that are shown."""
+"""Characters of a name that are shown, e.g. of the command of a process."""
+MAX_SAID = 200
+"""Characters of an error of rclpy that are shown."""
 SHARED_MEMORY = Path("/dev/shm")  # noqa: S108
 MAX_PROCESSES = 10
 """ROS processes of the host that are compared."""
@@ -28,7 +31,8 @@ MAX_PROCESSES = 10
 
 def rows(context: DoctorContext) -> Iterator[Row]:
     settings = context.settings.ros
-    yield _installation(needed=bool(settings.nodes or settings.topics))
+    chosen = context.environ.get("RMW_IMPLEMENTATION", "")
+    yield _installation(chosen, needed=bool(settings.nodes or settings.topics))
     own = _own(context)
     yield from (ok("domain", f"ROS_DOMAIN_ID {one.variables.get('ROS_DOMAIN_ID', '0')}, {rmw(one)}") for one in own)
     yield _shared_memory()
@@ -41,7 +45,9 @@ def rows(context: DoctorContext) -> Iterator[Row]:
         yield _compared(one, own, configured_domain=settings.domain is not None)
 
 
-def _installation(*, needed: bool) -> Row:
+def _installation(chosen: str, *, needed: bool) -> Row:
+    """chosen: the middleware that RMW_IMPLEMENTATION names, empty for none."""
+    said = ""
     try:
         done = subprocess.run(
             [sys.executable, "-m", "phm.probes.ros.installation"],
@@ -49,6 +55,7 @@ def _installation(*, needed: bool) -> Row:
             timeout=CHILD_LIMIT_S,
             check=False,
         )
+        said = done.stderr.decode("utf-8", "replace").strip()
         found = json.loads(done.stdout)
         unknown = "of unknown version"
         middleware = f"{found['middleware']} {found['middleware_version'] or unknown}"
@@ -56,6 +63,11 @@ def _installation(*, needed: bool) -> Row:
     except (OSError, subprocess.SubprocessError, ValueError, KeyError, TypeError):
         text = "rclpy cannot be used here, so nodes and topics are not monitored"
         remedy = f"use PHM's image; or on x86-64 {extras.remedy('ros')}; or use the Python of a ROS installation"
+        if chosen not in ("", DEFAULT_RMW) and said and "No module named 'rclpy'" not in said:
+            last = said.rpartition("\n")[2][:MAX_SAID]
+            text = one_line(f"rclpy cannot load {chosen[:MAX_NAME]}: {last}")
+            image = "build PHM's image from a ROS base image that has it (BASE_IMAGE)"
+            remedy = f"{image}, or set RMW_IMPLEMENTATION to the middleware of the application"
         return missing("PHM", text, remedy) if needed else limited("PHM", text, remedy)
     return ok("PHM", text)
 

@@ -14,19 +14,23 @@ def rows(context: DoctorContext) -> Iterator[Row]:
     settings = context.settings
     needed = 2 * settings.log.files * settings.log.max_size
     for name, path, least in (("log", settings.log.directory, needed), ("state", settings.state_dir, 1e6)):
-        yield _folder(name, path, least, configured=bool(context.configuration))
+        yield _folder(name, path, least, context)
     if settings.delivery.listen is not None and context.configuration:
         yield _replaceable(os.path.realpath(context.configuration))
 
 
-def _folder(name: str, path: str, least_bytes: float, *, configured: bool) -> Row:
+def _folder(name: str, path: str, least_bytes: float, context: DoctorContext) -> Row:
     if not os.path.isdir(path):
         text = f"{path} does not exist"
-        if configured:
+        if context.configuration:
             return missing(name, text, "create it, or mount a volume there")
         return limited(name, text, "`phm init` sets up folders for a container; else create it")
     if not os.access(path, os.W_OK | os.X_OK):
-        return missing(name, f"{path} cannot be written by uid {os.geteuid()}", f"chown {os.geteuid()} {path}")
+        remedy = f"chown {os.geteuid()} {path}"
+        if context.in_container:
+            owner = f"{os.geteuid()}:{os.getegid()}"
+            remedy = f"on the host: `sudo chown -R {owner}` the folder that the Compose file mounts at {path}"
+        return missing(name, f"{path} cannot be written by uid {os.geteuid()}", remedy)
     free = shutil.disk_usage(path).free
     text = f"{path} is writable, {free / 1e6:.0f} MB free"
     if free < least_bytes:

@@ -35,7 +35,7 @@ def inspect_machine(engine: DockerEngine, dev: Path = Path("/dev"), proc: Path =
     return Machine(
         engine=version,
         url=engine.url,
-        socket_group_id=_group(engine.url.removeprefix("unix://")),
+        socket_group_id=_socket_group(engine),
         applications=tuple(sorted(applications, key=lambda one: one.name)),
         sidecars=tuple(container_fact(one) for one in answers if is_phm(one) and one["Id"] not in own),
         serial_ports=tuple(serial_ports(dev)),
@@ -126,8 +126,14 @@ def _other_devices(applications: Sequence[Application], dev: Path) -> Iterator[s
             yield path
 
 
-def _group(path: str) -> int | None:
+def _socket_group(engine: DockerEngine) -> int | None:
+    """The group that owns the engine's socket as containers see it. The user of a rootless engine is root in them."""
     try:
-        return os.stat(path).st_gid
+        group = os.stat(engine.url.removeprefix("unix://")).st_gid
     except OSError:
         return None
+    try:
+        options = engine.call(lambda client: client.info().get("SecurityOptions"), what="read its settings")
+    except CannotTell:
+        options = None
+    return 0 if "name=rootless" in (options or ()) else group

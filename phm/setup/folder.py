@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
+import stat
 from collections.abc import Mapping
 from itertools import takewhile
 from pathlib import Path
@@ -86,15 +87,16 @@ def write_new(folder: Path, texts: Mapping[str, str]) -> None:
         path.write_text(text, encoding="utf-8")
 
 
-def make_log_folder(path: Path) -> None:
+def make_log_folder(path: Path) -> bool:
     """Make a folder that PHM's user may write to: its own where this process may say so, else one that everyone may write
-    to, as /tmp. A folder that exists stays unchanged. Raises OSError."""
-    if path.is_dir():
-        return
-    path.mkdir(parents=True)
-    try:
-        os.chown(path, PHM_USER, PHM_USER)
-        path.chmod(0o755)
-    except PermissionError:
-        with contextlib.suppress(PermissionError):
-            path.chmod(0o1777)
+    to, as /tmp. A folder that exists stays unchanged. Returns whether it is PHM's or everyone may write to it. Raises OSError."""
+    if not path.is_dir():
+        path.mkdir(parents=True)
+        try:
+            os.chown(path, PHM_USER, PHM_USER)
+            path.chmod(0o755)
+        except PermissionError:
+            with contextlib.suppress(PermissionError):
+                path.chmod(0o1777)
+    found = path.stat()
+    return found.st_uid == PHM_USER or bool(found.st_mode & stat.S_IWOTH)

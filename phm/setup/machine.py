@@ -51,7 +51,7 @@ class Machine:
 
     engine:    version of the Docker Engine.
     url:       its address, ``unix:///path`` or ``tcp://host:port``.
-    socket_group_id: the group of that socket, None when it cannot be read.
+    socket_group_id: the group of that socket as containers see it, None when it cannot be read.
     sidecars:  other containers of PHM.
     host_ros:  ROS environments of processes that run without a container and may be read.
     other_devices: mapped paths of the host that are folders or block devices, which PHM does not check.

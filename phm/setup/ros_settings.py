@@ -50,8 +50,8 @@ def ros_settings(
     used = variables(found, watched, network)
     where = "container" if any(one.ros is found for one in watched) else "process"
     lines = [f"# ROS 2: as in {where} {found.name}; PHM must use the same.", *_lines({"ROS_DOMAIN_ID": "0", **used})]
-    if rmw(found) != DEFAULT_RMW:
-        lines.append(f"# PHM's image must have {rmw(found)}: build it from a ROS base image that does (BASE_IMAGE).")
+    if need := image_need(found):
+        lines.append(f"# {need}")
     if local := _local(watched, network):
         lines.append(
             f"# {', '.join(local)}: the discovery range is LOCALHOST there, so PHM looks there by ROS_STATIC_PEERS."
@@ -76,6 +76,13 @@ def source(machine: Machine, watched: Sequence[Application]) -> RosEnvironment |
     """Of the watched container with the most ROS variables; without containers, of a process of the host; else None."""
     found = [one.ros for one in watched] or machine.host_ros
     return max(found, key=lambda ros: len(ros.variables), default=None)
+
+
+def image_need(ros: RosEnvironment) -> str:
+    """The middleware that PHM's image must have for this application, in a sentence; empty: the one that it has."""
+    name = rmw(ros)
+    image = f"PHM's image must have {name}: build it from a ROS base image that does (BASE_IMAGE)."
+    return image if name != DEFAULT_RMW else ""
 
 
 def variables(ros: RosEnvironment, watched: Sequence[Application], network: Network) -> dict[str, str]:

@@ -176,23 +176,35 @@ def _groups(machine: Machine) -> str:
     if machine.socket_group_id is not None:
         found[machine.socket_group_id] = machine.socket
     for port in machine.serial_ports:
-        found.setdefault(port.group_id, port.path)
-    found.pop(0, None)
+        if port.group_id:
+            found.setdefault(port.group_id, port.path)
     return "".join(f'\n      - "{number}" # owner of {path}' for number, path in found.items()) or _EMPTY
 
 
 def _network(answers: Answers) -> str:
     if answers.network == "host":
         return "    # For an application on the host's network: ROS 2 discovery does not cross from there to a bridge.\n    network_mode: host"
-    lines = ["    # PHM connects itself to the networks that phm.yaml names."]
-    if HOST_NAME in answers.mavlink:
-        lines += ["    extra_hosts:", f'      - "{HOST_NAME}:host-gateway" # this machine, for MAVLink']
-    else:
-        lines += [
-            "    # extra_hosts:",
-            f'    #   - "{HOST_NAME}:host-gateway" # this machine, e.g. for MAVLink',
-        ]
+    lines = [
+        "    # PHM connects itself to the networks that phm.yaml names.",
+        "    extra_hosts:",
+        f'      - "{HOST_NAME}:host-gateway" # this machine, e.g. for MAVLink',
+        *_listening(answers.mavlink),
+    ]
     return "\n".join(lines)
+
+
+def _listening(url: str) -> list[str]:
+    """The port of an endpoint that waits for peers. Without it, only containers on PHM's networks could reach PHM there."""
+    scheme, _, rest = url.partition(":")
+    if scheme not in ("udpin", "tcpin"):
+        return []
+    port = rest.rpartition(":")[2]
+    published = compose_quoted(f"127.0.0.1:{port}:{port}/{scheme.removesuffix('in')}")
+    return [
+        "    # The MAVLink endpoint, for programs of this machine. For those of other machines, write an address of this",
+        "    # machine instead of 127.0.0.1.",
+        f"    ports:\n      - {published}",
+    ]
 
 
 def _devices(answers: Answers) -> str:

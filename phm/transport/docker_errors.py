@@ -124,7 +124,8 @@ def _no_connection(error: OSError, url: str, limit_s: float, what: str) -> Engin
         )
     if error.errno == errno.ECONNREFUSED:
         # A bind mount of the socket's file leads to the old one after the engine has created another.
-        stale = "; if it runs, its socket was created again: restart PHM's container" if path != url else ""
+        # No further colon: `phm doctor` takes what follows the last one for the remedy.
+        stale = "; if it runs, its socket was created again, so restart PHM's container" if path != url else ""
         return EngineNotConnected(f"no Docker Engine listens at {url}: start it, e.g. `systemctl start docker`{stale}")
     return EngineNotConnected(f"no connection to the Docker Engine at {url}: {_short(error)}")
 

@@ -256,3 +256,11 @@ def test_lost_frames_show_that_the_link_is_open() -> None:
     senders = (api.SenderFact(1, 1, 0.2, 350, 60.0),)
     result = run(check(SERIAL, leads_to="autopilot"), changed(senders=senders))
     assert (result.level, result.condition, result.ends_fault) == (api.Level.WARN, "frames_lost", True)
+
+
+def test_the_name_of_the_host_needs_a_line_of_the_compose_file() -> None:
+    """Docker gives it to no container by itself."""
+    error = "the name host.docker.internal is not known: Name or service not known"
+    link_check = check("udpout:host.docker.internal:14551")
+    assert "`extra_hosts:" in run(link_check, api.LinkFact("ground", open=False, error=error)).summary
+    assert "extra_hosts" not in run(link_check, CLOSED).summary

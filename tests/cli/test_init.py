@@ -10,6 +10,7 @@ import yaml
 from click.testing import CliRunner, Result
 
 from phm.cli import group
+from phm.cli.init import SOCKET, _engine
 from phm.setup import discovery, ros_nodes
 from phm.setup.machine import SerialPort
 from tests.fakes.engine import FakeEngine
@@ -60,6 +61,19 @@ def test_nothing_is_written_where_the_log_folder_cannot_be_made(fake: FakeEngine
     assert (done.exit_code, folder.exists()) == (1, False), done.output
     assert init(fake, folder, "--yes", "--logs", str(tmp_path / "logs")).exit_code == 0
     assert (tmp_path / "logs").is_dir()
+
+
+def test_a_log_folder_that_phm_may_not_write_to_is_named(fake: FakeEngine, tmp_path: Path) -> None:
+    """Docker makes a deleted one again as root. A folder that others use keeps its owner."""
+    (tmp_path / "phm" / "logs").mkdir(parents=True)
+    (tmp_path / "var").mkdir()
+    for path in (tmp_path / "phm" / "logs", tmp_path / "var"):
+        path.chmod(0o755)
+    done = init(fake, tmp_path / "phm", "--yes")
+    assert f"  sudo chown -R 10001:10001 {tmp_path}/phm/logs\n" in done.output
+    done = init(fake, tmp_path / "phm", "--yes", "--force", "--logs", str(tmp_path / "var"))
+    assert f"  make {tmp_path}/var writable for user 10001, or name another" in done.output
+    assert "chown" not in done.output
 
 
 def test_the_next_command_works_for_any_name_of_the_folder(fake: FakeEngine, tmp_path: Path) -> None:
@@ -129,6 +143,14 @@ def test_each_container_is_compared_with_what_was_written(fake: FakeEngine, tmp_
     )
 
 
+def test_a_middleware_that_the_image_may_lack_is_named(fake: FakeEngine, tmp_path: Path) -> None:
+    """Otherwise only a comment in agent.env would say so."""
+    fake.containers["ros_app"] = described("ros_app", env={"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"})
+    done = init(fake, tmp_path, "--yes", "--mavlink", "none")
+    assert done.exit_code == 0, done.output
+    assert "PHM's image must have rmw_cyclonedds_cpp: build it from a ROS base image" in done.output
+
+
 def test_without_a_terminal_the_missing_options_are_named(fake: FakeEngine, tmp_path: Path) -> None:
     """Nothing is written, and nothing waits for input."""
     done = init(fake, tmp_path / "phm", "--id", "3")
@@ -164,16 +186,28 @@ def test_without_an_engine_the_remedy_is_printed(tmp_path: Path) -> None:
     """The exit code is 1, and the message says what to start."""
     done = CliRunner().invoke(group, ["init", str(tmp_path), "--yes", "--socket", f"unix://{tmp_path}/none"])
     assert done.exit_code == 1 and "start the Docker Engine" in done.stderr
+    assert "or name it with --socket" in done.stderr
+
+
+def test_the_engine_is_that_of_docker(fake: FakeEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As for a rootless engine. Not one that PHM's container cannot reach in the same way."""
+    monkeypatch.setenv("DOCKER_HOST", fake.url)
+    done = CliRunner().invoke(group, ["init", str(tmp_path / "phm"), "--yes", "--no-ros"])
+    assert done.exit_code == 0, done.output
+    assert f"{fake.path}:/var/run/docker.sock" in (tmp_path / "phm" / "compose.yaml").read_text()
+    monkeypatch.setenv("DOCKER_HOST", "ssh://pi@drone1")
+    assert _engine() == SOCKET
 
 
 def test_a_user_who_may_not_open_the_socket_learns_what_to_do(
     fake: FakeEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Exit code 1, and to use sudo."""
+    """Exit code 1, and to use sudo, which finds only a path: pipx installs into ~/.local/bin."""
     monkeypatch.setattr("phm.cli.init.os.access", lambda *_: False)
+    monkeypatch.setattr("sys.argv", ["/home/my pi/.local/bin/phm", "init"])
     fake.fault = Status(403, "no")
     done = init(fake, tmp_path / "phm", "--yes")
-    assert done.exit_code == 1 and "with sudo" in done.stderr
+    assert done.exit_code == 1 and "run `sudo '/home/my pi/.local/bin/phm' init`, or" in done.stderr
 
 
 def test_nodes_of_the_graph_are_written(fake: FakeEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

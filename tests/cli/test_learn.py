@@ -12,6 +12,7 @@ from click.testing import CliRunner, Result
 from phm.cli import group
 from phm.facts import EndpointFact
 from phm.learn import agent_observer, output
+from phm.learn.baseline import Baseline
 from phm.learn.observations import Observations, ObservedFolder, ObservedTopic
 
 TYPE = "std_msgs/msg/String"
@@ -38,7 +39,17 @@ def test_the_configuration_is_printed() -> None:
     result = invoke("--fresh")
     assert result.exit_code == 0
     assert "rate: 10" in result.stdout and "containers were not watched" in result.stdout
-    assert "phm learn" in result.stderr or not result.stderr
+
+
+@pytest.mark.parametrize(("unsure", "counted"), [([], 0), ([("ros.nodes /a/lidar", "looks generated")], 1)])
+def test_what_was_not_watched_is_on_the_terminal(
+    unsure: list[tuple[str, str]], counted: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Stdout is redirected to a file, whose last lines no one may read. Uncertain settings are counted where there are some."""
+    monkeypatch.setattr(Baseline, "unsure", lambda self: unsure)
+    stderr = invoke("--fresh").stderr
+    assert "phm learn: containers were not watched: no engine\n" in stderr
+    assert stderr.count("settings are uncertain") == counted
 
 
 def test_a_file_is_updated_and_keeps_its_comments(tmp_path: Path) -> None:

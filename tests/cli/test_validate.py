@@ -42,7 +42,7 @@ def test_an_endpoint_that_does_not_leave_the_container_is_a_warning(
 ) -> None:
     """The file is valid. One that does leave it, and a process with the host's network, have no warning."""
     monkeypatch.setattr("phm.transport.own_network.is_private", lambda: private)
-    urls = ["udpout:127.0.0.1:14550", "udpout:host.docker.internal:14550", "udpin:0.0.0.0:14551"]
+    urls = ["udpout:127.0.0.1:14550", "udpout:host.docker.internal:14550"]
     endpoints = [{"name": f"link_{number}", "url": url} for number, url in enumerate(urls)]
     file = tmp_path / "phm.yaml"
     file.write_text(json.dumps({"agent": {"id": 1}, "mavlink": {"endpoints": endpoints}}))
@@ -54,6 +54,20 @@ def test_an_endpoint_that_does_not_leave_the_container_is_a_warning(
         assert "use udpout:host.docker.internal:14550 with `extra_hosts" in text
     shown = CliRunner().invoke(group, ["validate", str(file)])
     assert shown.exit_code == 0 and shown.stderr.count("warning: ") == count
+
+
+@pytest.mark.parametrize("private", [True, False])
+def test_an_endpoint_that_waits_for_peers_in_a_container_is_a_warning(
+    private: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """PHM sends nothing there before a peer has reached it. No error: a router may be in a container beside it."""
+    monkeypatch.setattr("phm.transport.own_network.is_private", lambda: private)
+    file = tmp_path / "phm.yaml"
+    file.write_text(json.dumps({"agent": {"id": 1}, "mavlink": {"endpoints": [{"url": "udpin:0.0.0.0:14551"}]}}))
+    done = CliRunner().invoke(group, ["validate", str(file), "--json"])
+    reach = "can be reached only by containers on PHM's networks, unless `ports:` of its Compose file publishes it"
+    expected = [f"{file}: mavlink.endpoints: udpin:0.0.0.0:14551 {reach}"] if private else []
+    assert (done.exit_code, json.loads(done.stdout)["warnings"]) == (0, expected)
 
 
 @pytest.mark.parametrize(

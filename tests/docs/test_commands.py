@@ -59,6 +59,7 @@ FOREIGN = frozenset(
         "sed",
         "sha256sum",
         "source",
+        "ssh",
         "stat",
         "sysctl",
         "systemctl",
@@ -127,7 +128,7 @@ def problem(words: list[str]) -> str:
         return f"{missing[0]} does not exist"
     if program == "sudo":
         return problem(arguments[2:] if arguments[:1] == ["-u"] else arguments)
-    program = re.sub(r"^[\w./~-]+/bin/", "", program)  # of an environment
+    program = re.sub(r"^[\w./~-]+/bin/|^\$\(command -v (\w+)\)$", r"\1", program)  # of an environment
     if program == "phm":
         return of_phm(arguments)
     if program == "docker":

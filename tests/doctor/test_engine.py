@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from pathlib import Path
 
 from phm.doctor.engine import rows
@@ -51,6 +52,15 @@ def test_without_an_engine_the_remedy_is_to_start_it(tmp_path: Path) -> None:
     (only,) = rows(doctor_context(tmp_path))
     assert only.state == "missing" and only.remedy.startswith("start the Docker Engine")
     assert only.remedy not in only.text
+
+
+def test_an_engine_that_was_stopped_is_started_first(tmp_path: Path) -> None:
+    """It leaves its socket behind. A restart of PHM's container helps only if the engine runs."""
+    with socket.socket(socket.AF_UNIX) as left:
+        left.bind(str(tmp_path / "none.sock"))
+    (only,) = rows(doctor_context(tmp_path))
+    assert only.text.startswith("no Docker Engine listens at unix://")
+    assert only.remedy.startswith("start it") and "restart PHM's container" in only.remedy
 
 
 def test_a_proxy_that_refuses_limits_the_rights(tmp_path: Path) -> None:

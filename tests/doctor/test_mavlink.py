@@ -40,6 +40,38 @@ def test_the_loopback_of_a_bridged_container_leads_nowhere(tmp_path: Path, monke
     assert (outside.state, inside.state) == ("ok", "limited") and "own container" in inside.text
 
 
+def test_who_reaches_a_waiting_endpoint_of_a_bridged_container_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without a defect: a router may be in a container beside it. On the host's network any program reaches it."""
+    monkeypatch.setattr(mavlink, "is_private", lambda: True)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        url = f"udpin:127.0.0.1:{free.getsockname()[1]}"
+    inside, there = judged(tmp_path, url)
+    monkeypatch.setattr(mavlink, "is_private", lambda: False)
+    (outside,) = rows(there)
+    assert (inside.state, outside.state) == ("ok", "ok")
+    assert "`ports:` of its Compose file" in inside.text and "Compose" not in outside.text
+
+
+@pytest.mark.parametrize(
+    ("host", "remedy"),
+    [("host.docker.internal", 'extra_hosts: ["host.docker.internal:host-gateway"]'), ("gcs", "correct")],
+)
+def test_a_name_that_is_not_known_has_a_remedy(
+    host: str, remedy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The name of the host needs a line in the Compose file; any other one may be wrong."""
+
+    def unknown(*_: object, **__: object) -> None:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(socket, "getaddrinfo", unknown)
+    found, _ = judged(tmp_path, f"udpout:{host}:14551")
+    assert found.state == "missing" and remedy in found.remedy
+
+
 def test_a_serial_port_must_exist(tmp_path: Path) -> None:
     """A missing port has the remedy to map the device into the container."""
     absent, _ = judged(tmp_path, str(tmp_path / "ttyACM0"))

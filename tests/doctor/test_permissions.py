@@ -3,23 +3,36 @@
 from __future__ import annotations
 
 import os
+import pwd
 from pathlib import Path
 
 import pytest
 
-from phm.doctor.permissions import rows
+from phm.doctor.permissions import group_name, rows
 from tests.doctor.places import doctor_context, row
 
 
 def test_a_socket_that_may_not_be_opened_names_the_group(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In a container the remedy is a line of the compose file, else a command."""
+    """In a container the remedy is a line of the compose file, else a command for the user of PHM."""
     (tmp_path / "engine.sock").touch()
+    group = os.getegid() or 4242
+    os.chown(tmp_path / "engine.sock", -1, group)
     monkeypatch.setattr(os, "access", lambda *_: False)
     there = doctor_context(tmp_path, docker={"socket": f"unix://{tmp_path}/engine.sock"})
     found = row(list(rows(there)), "socket")
-    assert found.state == "missing" and "usermod" in found.remedy
+    user = pwd.getpwuid(os.geteuid()).pw_name
+    assert found.state == "missing" and f"usermod -aG {group_name(group)} {user}," in found.remedy
     there.container_mark.touch()
-    assert f'add "{os.getgid()}" to group_add' in row(list(rows(there)), "socket").remedy
+    assert f'add "{group}" to group_add' in row(list(rows(there)), "socket").remedy
+
+
+def test_a_socket_of_the_group_of_root_needs_the_group_docker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No one should join the group of root. PHM's container may: it has nothing else of this group."""
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    there = doctor_context(tmp_path, docker={"socket": "unix:///etc/passwd"})
+    assert "sudo groupadd docker" in row(list(rows(there)), "socket").remedy
+    there.container_mark.touch()
+    assert 'add "0" to group_add' in row(list(rows(there)), "socket").remedy
 
 
 def test_a_socket_that_may_be_opened_is_ok(tmp_path: Path) -> None:

@@ -17,12 +17,12 @@ from tests.setup.machines import described
 JAZZY = {"distribution": "jazzy", "rclpy": "7.1.4", "middleware": "rmw_fastrtps_cpp", "middleware_version": "8.4.2"}
 
 
-def installed(monkeypatch: pytest.MonkeyPatch, found: dict[str, str] | None) -> None:
-    """What the child process prints; None: there is no rclpy."""
+def installed(monkeypatch: pytest.MonkeyPatch, found: dict[str, str] | None, error: str = "") -> None:
+    """What the child process prints; None: it fails with this error."""
 
     def run(*_: Any, **__: Any) -> subprocess.CompletedProcess[bytes]:
         text = json.dumps(found).encode() if found else b""
-        return subprocess.CompletedProcess([], 0 if found else 1, text, b"")
+        return subprocess.CompletedProcess([], 0 if found else 1, text, error.encode())
 
     monkeypatch.setattr(subprocess, "run", run)
 
@@ -42,6 +42,17 @@ def test_no_rclpy_is_missing_where_nodes_are_configured(tmp_path: Path, monkeypa
     assert states(found)["PHM"] == "limited"
     assert "install the extra 'ros' (in a clone of PHM: pip install '.[ros]')" in row(found, "PHM").remedy
     assert states(list(rows(doctor_context(tmp_path, ros={"nodes": [{"name": "/a"}]}))))["PHM"] == "missing"
+
+
+def test_a_middleware_that_cannot_be_loaded_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the last line of the error. Without rclpy it is not the middleware that is missing."""
+    installed(monkeypatch, None, "Traceback ...\n  File ...\nRMWError: librmw_cyclonedds_cpp.so: no such\x1b file\n")
+    there = doctor_context(tmp_path, environ={"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"})
+    found = row(list(rows(there)), "PHM")
+    expected = "rclpy cannot load rmw_cyclonedds_cpp: RMWError: librmw_cyclonedds_cpp.so: no such\\x1b file"
+    assert found.text == expected and "BASE_IMAGE" in found.remedy
+    installed(monkeypatch, None, "ModuleNotFoundError: No module named 'rclpy'\n")
+    assert "install the extra 'ros'" in row(list(rows(there)), "PHM").remedy
 
 
 def test_an_application_with_other_variables_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

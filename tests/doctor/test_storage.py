@@ -33,6 +33,20 @@ def test_a_disk_without_room_for_the_log_is_limited(tmp_path: Path) -> None:
     assert row(list(rows(there)), "log").state == "limited"
 
 
+def test_a_folder_that_cannot_be_written_is_given_to_phm_on_the_host(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In PHM's container no one may change the owner, and the folder has another name on the host."""
+    (tmp_path / "log").mkdir()
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    there = doctor_context(tmp_path)
+    assert row(list(rows(there)), "log").remedy == f"chown {os.geteuid()} {tmp_path / 'log'}"
+    there.container_mark.touch()
+    found = row(list(rows(there)), "log")
+    assert found.state == "missing" and found.remedy.startswith("on the host: `sudo chown -R ")
+    assert found.remedy.endswith(f"mounts at {tmp_path / 'log'}")
+
+
 def test_a_configuration_that_no_delivery_can_replace_is_limited(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from docker import APIClient
 
 from phm.facts import CannotTell
 from phm.setup.discovery import inspect_machine, serial_ports
@@ -33,6 +35,18 @@ def test_applications_are_found_with_what_ros_reads(fake: FakeEngine, tmp_path: 
     assert app.ros.variables == {"ROS_DOMAIN_ID": "7", "ROS_DISTRO": "jazzy"}
     assert found.engine == "20.10.24" and found.socket == fake.path
     assert found.socket_group_id == Path(fake.path).stat().st_gid
+
+
+@pytest.mark.parametrize("rootless", [True, False])
+def test_the_socket_of_a_rootless_engine_belongs_to_root_in_containers(
+    rootless: bool, fake: FakeEngine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """There the user of the engine is root, and the number of its group on the host is that of another group."""
+    os.chown(fake.path, -1, os.getegid() or 4242)
+    options = ["name=seccomp,profile=builtin", *(["name=rootless"] if rootless else [])]
+    monkeypatch.setattr(APIClient, "info", lambda self: {"SecurityOptions": options})
+    found = inspect_machine(DockerEngine(fake.url, LIMIT_S), tmp_path)
+    assert found.socket_group_id == (0 if rootless else os.getegid() or 4242)
 
 
 def test_a_fast_dds_profile_is_read_from_the_container(fake: FakeEngine, tmp_path: Path) -> None:

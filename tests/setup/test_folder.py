@@ -58,7 +58,7 @@ def test_the_log_folder_can_be_written_by_the_user_of_the_image(
         raise PermissionError
 
     monkeypatch.setattr(os, "chown", refuse)
-    make_log_folder(tmp_path / "logs")
+    assert make_log_folder(tmp_path / "logs")
     assert (tmp_path / "logs").stat().st_mode & 0o7777 == 0o1777
 
 
@@ -67,5 +67,5 @@ def test_a_log_folder_that_exists_keeps_its_owner_and_mode(tmp_path: Path, monke
     changed: list[object] = []
     monkeypatch.setattr(os, "chown", lambda *words: changed.append(words))
     tmp_path.chmod(0o750)
-    make_log_folder(tmp_path)
+    assert not make_log_folder(tmp_path)
     assert (changed, tmp_path.stat().st_mode & 0o7777) == ([], 0o750)

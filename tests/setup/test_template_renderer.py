@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -81,6 +82,7 @@ def test_a_bridged_application_has_its_networks_and_devices() -> None:
     assert [device.path for device in entry.devices] == ["/dev/ttyACM0"]
     assert "network_mode" not in service(texts)
     assert service(texts)["extra_hosts"] == ["host.docker.internal:host-gateway"]
+    assert service(made(app, mavlink="/dev/ttyACM0"))["extra_hosts"] == service(texts)["extra_hosts"]
 
 
 @pytest.mark.parametrize("more", [[], ["/dev/ttyACM0"]])
@@ -102,6 +104,23 @@ def test_an_application_on_the_hosts_network_has_phm_there_too() -> None:
 def test_phm_is_in_the_groups_that_own_socket_and_serial_ports() -> None:
     """By number: the image does not know the names of the host."""
     assert service(made())["group_add"] == ["998", "20"]
+
+
+def test_only_the_socket_may_belong_to_the_group_of_root() -> None:
+    """As for an engine without the group docker, or a rootless one. A serial port of this group is not given to PHM."""
+    found = replace(machine(ports=(SerialPort("/dev/ttyS0", 0),)), socket_group_id=0)
+    assert service(render(found, answers()))["group_add"] == ["0"]
+    assert service(render(replace(found, socket_group_id=None), answers()))["group_add"] == []
+
+
+@pytest.mark.parametrize(
+    ("mavlink", "port"), [("udpin:0.0.0.0:14551", "14551:14551/udp"), ("tcpin:0.0.0.0:5760", "5760:5760/tcp")]
+)
+def test_the_port_of_an_endpoint_that_waits_for_peers_is_published(mavlink: str, port: str) -> None:
+    """On a bridge nothing else of this machine reaches it. On the host's network it is the host's own port."""
+    assert service(made(application("app"), mavlink=mavlink))["ports"] == [f"127.0.0.1:{port}"]
+    assert "ports" not in service(made(application("app"), mavlink=mavlink, network="host"))
+    assert "ports" not in service(made(application("app"), mavlink="udpout:10.0.0.5:14550"))
 
 
 def test_a_path_with_colons_is_mapped_in_the_long_form() -> None:

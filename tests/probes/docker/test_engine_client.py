@@ -145,7 +145,7 @@ def test_a_socket_without_a_server_has_its_own_error(tmp_path: Path) -> None:
     with pytest.raises(EngineNotConnected, match="no Docker Engine listens") as refused:
         DockerEngine(f"unix://{tmp_path}/left.sock").version()
     # A bind mount keeps the old file when the engine creates its socket again.
-    assert str(refused.value).endswith("if it runs, its socket was created again: restart PHM's container")
+    assert str(refused.value).endswith("if it runs, its socket was created again, so restart PHM's container")
 
 
 def test_a_forbidden_socket_names_the_required_group(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
