@@ -33,6 +33,9 @@ the publisher, so that a starved PHM still detects it; of the longest pause noth
 SLOW = 2
 """A publisher without a rate after this many times the time in which one of mean rate would be gone, so after 12 mean
 periods, is left out of the sum: all of them together publish less than a twelfth of the expected rate."""
+PACKET_BYTES = 65_000
+"""A larger sample is sent in several packets and lost with any of them, as PHM's subscription is best effort. So PHM may receive few of
+them, of a publisher that never pauses."""
 _SHARE = 0.2
 FADE_S, FADE_WINDOWS = 60.0, 20
 """Observations count for about this long, or this many windows if longer."""
@@ -199,12 +202,22 @@ class RateEstimator:
             samples = self._sorter.sort(samples, listening.publishers, complete=listening.complete)
         elif self._sorter is not None:
             self._take_back()
+        if self._silence is not None and self._quiet_s > self._silence.most_s and self._published(samples, listening):
+            self._silence.disproved(self._quiet_s, now_s)
         steady = True
         for sample in samples:
             steady = self._add(sample) and steady
         if self._silence is not None and before_s is not None and steady:
             self._silence.ended(self._quiet_s, now_s)
         self._quiet_s = self._paused_s = 0.0
+
+    def _published(self, samples: Sequence[Sample], listening: Listening) -> bool:
+        """Whether these, the first ones after a silence, show that a publisher of large samples has published on meanwhile."""
+        if (self.sample_bytes or 0.0) <= PACKET_BYTES:
+            return False
+        hz = self._mean_hz(listening)
+        tracks = ((self._tracks.get(sample.writer), sample) for sample in samples)
+        return any(track is not None and track.published(sample, hz) for track, sample in tracks)
 
     def _hand_over(self) -> None:
         """Pass the former single publisher to the sorter: another one may replace it."""
