@@ -133,9 +133,11 @@ class RateEstimator:
 
     def update(self, now_s: float, samples: Sequence[Sample], listening: Listening = ALONE) -> RateFact:
         """Process the samples since the last poll, oldest first. Called once per tick."""
-        self._listen(now_s, samples, listening)
+        passed_s = self._listen(now_s, samples, listening)
         self._slow_s = SLOW * gone_after_s(self._mean_hz(listening)) + listening.closed_s
         if samples:
+            if samples[0].sequence is None and not listening.complete and passed_s > LATE_S:
+                self.hold()  # while PHM did not run, samples were overwritten in the queue
             self._take(now_s, samples, listening)
         self._drop_gone(now_s, listening)
         self._restarts.settle(now_s, listening.closed_s, mixed=self.mixed(now_s))
@@ -183,8 +185,8 @@ class RateEstimator:
 
     # ---- input
 
-    def _listen(self, now_s: float, samples: Sequence[Sample], listening: Listening) -> None:
-        """Count the time without a sample in which one would have been received."""
+    def _listen(self, now_s: float, samples: Sequence[Sample], listening: Listening) -> float:
+        """Count the time without a sample in which one would have been received. Returns the time since the last poll."""
         passed_s = now_s - self._last_look_s if self._last_look_s is not None else 0.0
         self._last_look_s = now_s
         if not samples and listening.on:
@@ -192,6 +194,7 @@ class RateEstimator:
             # Only the longest of the pauses until now is shortened.
             self._quiet_s += _listened_s(passed_s) - _cut_s(longest_s) + _cut_s(self._paused_s)
             self._paused_s = longest_s
+        return passed_s
 
     def _take(self, now_s: float, samples: Sequence[Sample], listening: Listening) -> None:
         before_s, self._last_s = self._last_s, now_s
