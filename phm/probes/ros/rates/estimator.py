@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 from phm.facts.ros import RateFact
 from phm.probes.ros.rates.publisher_stats import PublisherStats, Sample
-from phm.probes.ros.rates.publishers import PublisherDemux, PublisherRestarts, gone_after_s
+from phm.probes.ros.rates.publishers import GONE_S, NEW_S, PublisherDemux, PublisherRestarts, gone_after_s
 from phm.probes.ros.rates.silence import SilenceTimeout
 
 WINDOW_S, PERIODS = 3.0, 3
@@ -268,11 +268,15 @@ class RateEstimator:
         if len(self._tracks) < 2 or self._last_s is None:
             return
         sure = self._sorter is None or not self._sorter.unreliable(listening.publishers, now_s)
+        most = 1 + NEW_S * self._expected_hz
         for writer, track in list(self._tracks.items()):
-            if track.hz is None and len(self._tracks) <= listening.publishers:
+            if not listening.several and any(other.takes_place(track, most) for other in self._tracks.values()):
+                gone_s = GONE_S  # a restarted node, of which discovery still lists both publishers
+            elif track.hz is None and len(self._tracks) <= listening.publishers:
                 continue  # as many as are listed: it may be a slow one, whose next message is not due yet
-            hz = self._mean_hz(listening) if track.hz is None else track.hz
-            if self._last_s - track.at_s <= gone_after_s(hz) + listening.closed_s:
+            else:
+                gone_s = gone_after_s(self._mean_hz(listening) if track.hz is None else track.hz)
+            if self._last_s - track.at_s <= gone_s + listening.closed_s:
                 continue
             del self._tracks[writer]
             if sure:
