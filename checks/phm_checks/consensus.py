@@ -12,7 +12,7 @@ from dataclasses import replace
 from phm import api
 from phm.api import Layer, Level, Slot
 from phm_checks._lost_publishers import SETTLE_S as LOST_SETTLE_S, Connection, LostPublishers, connections
-from phm_checks._node_consensus import PHM, Agreement, Opinion, Verdict, agree
+from phm_checks._node_consensus import PHM, SILENT_PERIODS, Agreement, Opinion, Verdict, agree
 from phm_checks._quorum import SETTLE_S as QUORUM_SETTLE_S, DeadNodes, ReceivedBefore, ended, received_by_others
 from phm_checks._ros_facts import OLD_SNAPSHOT_S, full_name
 from phm_checks._text import brief, last, listed, span
@@ -20,7 +20,7 @@ from phm_checks._text import brief, last, listed, span
 FORGET_S = 60.0
 """A beacon silent for longer is ignored: its node was changed, or its beacon closed."""
 LOST_S = 10.0
-"""A required beacon silent for longer, while its node is listed, is missing."""
+"""A required beacon silent for longer, and for several periods, while its node is listed, is missing."""
 FRESH_S = 5.0
 """A diagnostic status younger than this shows that the node is alive; diagnostic_updater sends one per second."""
 CROWDED_S = 5.0
@@ -158,7 +158,8 @@ class Consensus(api.Check):
         lacking = [
             name
             for name in self._required
-            if name in fact.nodes and (name not in beacons or beacons[name].silent_s > LOST_S)
+            if name in fact.nodes
+            and (name not in beacons or (beacons[name].silent_s > LOST_S and beacons[name].missed > SILENT_PERIODS))
         ]
         if not lacking:
             return None

@@ -26,6 +26,11 @@ STAY = 0.9
 MEASURED_S = 1.0
 """A silence is detected at most this much after its limit: the sampler and the check run once a second."""
 _BLOCKS = "a firewall, or shared memory without a shared /dev/shm: set FASTDDS_BUILTIN_TRANSPORTS=UDPv4"
+PACKET_BYTES = 65_000
+"""A larger message is lost with any of its packets: PHM's subscription is best effort."""
+_LARGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/PointCloud2")
+"""Types of messages that are so large, as far as none was received."""
+_LOST = ", or its messages are lost on the way to PHM: raise net.core.rmem_default on its host"
 RAN_S = 2.0
 """A publisher whose executor ran twice, this long after a message was due, and did not send it, is not just waiting for a CPU: the
 timer of the message was due before the first turn, so it was called before the second."""
@@ -179,7 +184,7 @@ class Rates(api.Check):
             Level.ERROR,
             "topic_silent",
             "silent",
-            f"{case.name}: offline. Silent for {span(silent_s)}, expected {case.rate:g} Hz{limit}: {why}; check that node's log",
+            f"{case.name}: offline. Silent for {span(silent_s)}, expected {case.rate:g} Hz{limit}: {why}{_lost(seen)}; check that node's log",
             case,
         )
         ran = turns and all(ran_s(node, fact, now) <= due_s - RAN_S for node in _nodes(seen))
@@ -240,7 +245,7 @@ class Rates(api.Check):
             "not_received",
             "not received",
             f"{case.name}: offline. It is listed, but no sample was received, expected {case.rate:g} Hz: its publisher does "
-            f"not publish, or the transport is blocked ({_BLOCKS})",
+            f"not publish, or the transport is blocked ({_BLOCKS}){_lost(seen)}",
             case,
         )
 
@@ -392,6 +397,13 @@ def _inputs_flow(seen: api.TopicFact, fact: api.RosFact) -> bool:
     inputs = (topic for topic in fact.topics.values() if topic is not seen)
     needed = (topic for topic in inputs if any(end.node in publishers for end in topic.subscribers))
     return all(topic.rate is not None and bool(topic.rate.hz) for topic in needed)
+
+
+def _lost(seen: api.TopicFact) -> str:
+    """A clause for messages that may be too large to arrive."""
+    size = None if seen.rate is None else seen.rate.sample_bytes
+    large = any(end.type in _LARGE_TYPES for end in seen.publishers) if size is None else size > PACKET_BYTES
+    return _LOST if large else ""
 
 
 def _nodes(seen: api.TopicFact) -> set[str]:

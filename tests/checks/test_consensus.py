@@ -269,6 +269,15 @@ def test_a_missing_required_beacon_is_an_error() -> None:
     assert evaluate({}, check, up_s=3.0).level is api.Level.STALE
 
 
+def test_a_slow_required_beacon_is_not_missing() -> None:
+    """`Beacon(node, period_s=10)` is missing after three periods, as any other."""
+    check = build(A, B, beacon="required")
+    slow = {**matrix(A, B), B: beacon(age_s=11.0, period_s=10.0)}
+    assert evaluate(slow, check).condition != "beacon_missing"
+    slow[B] = beacon(age_s=31.0, period_s=10.0)
+    assert evaluate(slow, check).condition == "beacon_missing"
+
+
 def test_beacons_of_another_version_are_a_warning() -> None:
     """Beacons arrive, but this PHM cannot read them."""
     result = evaluate({}, refused=12)

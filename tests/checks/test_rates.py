@@ -250,6 +250,17 @@ def test_a_topic_without_any_sample_is_an_error() -> None:
     assert "FASTDDS_BUILTIN_TRANSPORTS" in result.summary
 
 
+@pytest.mark.parametrize(("size", "lost"), [(6_200_000, True), (1000, False), (None, False)])
+def test_the_text_says_that_large_messages_may_be_lost_on_the_way(size: float | None, *, lost: bool) -> None:
+    """Before any was received, the type of an image suffices."""
+    rate = api.RateFact(0.0, 5.0, WINDOW_S, samples=5, limit_s=3.0, publishers=1, sample_bytes=size)
+    silent = Bench(30.0).see(api.TopicFact(TALKER, (), rate))
+    assert silent.condition == "topic_silent" and ("net.core.rmem_default" in silent.summary) is lost
+    camera = (api.EndpointFact("/agent_1/node_1", "sensor_msgs/msg/Image"),)
+    never = Bench(30.0).see(api.TopicFact(camera, (), api.RateFact(None, None)), up_s=60.0)
+    assert never.condition == "not_received" and "net.core.rmem_default" in never.summary
+
+
 class BlockedTransport:
     """Three topics of three nodes, none of which is received unless a test changes that."""
 

@@ -11,7 +11,7 @@ import contextlib
 import os
 import socket
 import tempfile
-from collections.abc import MutableMapping
+from collections.abc import Mapping, MutableMapping
 from pathlib import Path
 
 from phm.probes.ros.sandbox import OWN_PROFILE, PROFILE_VARIABLES
@@ -31,11 +31,22 @@ _TRANSPORT = f"""<transport_descriptors><transport_descriptor>
 """
 _USE_TRANSPORT = """
 <userTransports><transport_id>udp</transport_id></userTransports><useBuiltinTransports>false</useBuiltinTransports>"""
+LEASE_S = 40
+"""How long other participants keep PHM's after its last announcement: longer than the supervisor bears a child that gets no CPU, and
+than Fast DDS's 20 s. A node that drops PHM while PHM keeps the node sends PHM nothing any more (`unreceived_nodes`); in the opposite
+case PHM lacks names, and looks again with a new participant. Nodes keep the readers of a killed child for so long. These are best
+effort, but for latched topics, and block no publisher that keeps a limited number of messages."""
+PEERS_MOST_S = 3
+"""Seconds between two announcements: one for each static peer, so that all together get MAX_PEERS packets a second over a radio, but at
+most as many as Fast DDS itself waits. More peers get more packets."""
+_OFTEN = "<leaseAnnouncement><sec>0</sec><nanosec>250000000</nanosec></leaseAnnouncement>"
+_TO_PEERS = """<leaseAnnouncement><sec>{}</sec><nanosec>0</nanosec></leaseAnnouncement>
+<initialAnnouncements><count>20</count><period><sec>0</sec><nanosec>250000000</nanosec></period></initialAnnouncements>"""
 _PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
 <dds xmlns="http://www.eprosima.com"><profiles>
 {transport}<participant profile_name="phm" is_default_profile="true"><rtps>{use}<builtin><discovery_config>
-<leaseDuration><sec>5</sec></leaseDuration>
-<leaseAnnouncement><sec>0</sec><nanosec>250000000</nanosec></leaseAnnouncement>
+<leaseDuration><sec>{lease_s}</sec></leaseDuration>
+{announcements}
 </discovery_config>{peers}</builtin></rtps></participant>
 </profiles></dds>
 """
@@ -98,28 +109,30 @@ def _prefix() -> str:
 def profile(environ: MutableMapping[str, str]) -> str:
     """The profile; changes the discovery range in `environ` where the profile does it instead.
 
-    In every case the participant announces itself four times a second instead of once in three seconds. A node that starts (or was
-    restarted) is seen once it has received that: measured 0.5 s instead of up to 4 s.
+    The participant announces itself four times a second instead of once in three seconds. A node that starts (or was restarted) is
+    seen once it has received that: measured 0.5 s instead of up to 4 s. With static peers it does so for its first 5 s only.
     """
-    if environ.get("FASTDDS_BUILTIN_TRANSPORTS") != "UDPv4":
-        return _PROFILE.format(transport="", use="", peers="")
-    if not localhost(environ):
-        if not environ.get("ROS_STATIC_PEERS"):
-            return _PROFILE.format(transport="", use="", peers="")
-        return _PROFILE.format(transport=_TRANSPORT, use=_USE_TRANSPORT, peers="")
-    peers = ["127.0.0.1", *_static_peers(environ)]
-    # For SUBNET, rmw_fastrtps would add a multicast address; for this it changes nothing and adds no peers.
-    environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
-    listed = _PEERS.format("".join(map(_PEER.format, peers)))
-    return _PROFILE.format(transport=_TRANSPORT, use=_USE_TRANSPORT, peers=listed)
+    peers = _static_peers(environ)
+    announcements = _TO_PEERS.format(min(PEERS_MOST_S, len(peers))) if peers else _OFTEN
+    transport = use = listed = ""
+    if environ.get("FASTDDS_BUILTIN_TRANSPORTS") == "UDPv4" and (peers or localhost(environ)):
+        transport, use = _TRANSPORT, _USE_TRANSPORT
+        if localhost(environ):
+            addresses = ["127.0.0.1", *map(socket.gethostbyname, peers)]
+            listed = _PEERS.format("".join(map(_PEER.format, addresses)))
+            # For SUBNET, rmw_fastrtps would add a multicast address; for this it changes nothing and adds no peers.
+            environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
+            environ.pop("ROS_STATIC_PEERS", None)
+            environ.pop("ROS_LOCALHOST_ONLY", None)
+    return _PROFILE.format(
+        transport=transport, use=use, lease_s=LEASE_S, announcements=announcements, peers=listed
+    )
 
 
-def _static_peers(environ: MutableMapping[str, str]) -> list[str]:
-    """Addresses of ROS_STATIC_PEERS, which ROS_LOCALHOST_ONLY=1 switches off as in rcl. Raises OSError: a name cannot be resolved."""
-    names = environ.pop("ROS_STATIC_PEERS", "").split(";")
-    if environ.pop("ROS_LOCALHOST_ONLY", "") == "1":
-        return []
-    return [socket.gethostbyname(name) for name in names if name]
+def _static_peers(environ: Mapping[str, str]) -> list[str]:
+    """Those of ROS_STATIC_PEERS, which ROS_LOCALHOST_ONLY=1 switches off as in rcl."""
+    names = "" if environ.get("ROS_LOCALHOST_ONLY") == "1" else environ.get("ROS_STATIC_PEERS", "")
+    return [name for name in names.split(";") if name]
 
 
 def localhost(environ: MutableMapping[str, str]) -> bool:

@@ -51,6 +51,9 @@ class GraphEvents:
         self._stopping.set()
         self._stop.trigger_guard_condition()
         self._thread.join(FAREWELL_S)
+        if not self._thread.is_alive():  # it would write to another file of this number
+            os.close(self.fd)
+            self.fd = None
 
     def _run(self) -> None:
         assert self.fd is not None

@@ -6,6 +6,7 @@ Runs only in the child. Names cost microseconds; endpoints cost 50 us per topic 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Collection, Iterable
 from typing import Any
 
@@ -39,6 +40,7 @@ class UnconfiguredTopics:
         self._next_s = 0.0
         self._counts: dict[str, tuple[int, int]] = {}
         self._facts: dict[str, NameFact] = {}
+        self._read_s: dict[str, float] = {}
         self.names: dict[str, NameFact] = {}
         self.problem = ""
         """What could not be read at the last poll, as a sentence."""
@@ -55,12 +57,14 @@ class UnconfiguredTopics:
             self.problem = NOT_UTF8.format(undecodable(error))
             return False
         changed = [name for name, count in counts.items() if count != self._counts.get(name)]
-        changed.sort(key=lambda name: name in self._facts)  # new topics first
+        # New topics first. Then those with other users, before those that lack a name, which may never get one. The longest unread first.
+        changed.sort(key=lambda name: (self._lacks_name(name), self._read_s.get(name, -math.inf)))
         for name in changed[MAX_READS:]:
             counts[name] = self._counts.get(name, _UNREAD)
         self._facts = {name: fact for name, fact in self._facts.items() if name in counts}
+        self._read_s = {name: at_s for name, at_s in self._read_s.items() if name in counts}
         for name in changed[:MAX_READS]:
-            fact = self._read(name)
+            fact, self._read_s[name] = self._read(name), now_s
             if "" in (*fact.publishers, *fact.subscribers):
                 counts[name] = _UNREAD  # the node's name arrives a moment after its endpoint: look again
             self._facts[name] = NameFact(_named(fact.publishers), _named(fact.subscribers))
@@ -70,6 +74,10 @@ class UnconfiguredTopics:
             _fitting({name: fact for name, fact in self._facts.items() if fact != NameFact()}),
         )
         return self.names != before
+
+    def _lacks_name(self, name: str) -> bool:
+        """Whether it was read before the names of all its nodes had arrived."""
+        return name in self._facts and self._counts.get(name) == _UNREAD
 
     def _read_counts(self) -> dict[str, tuple[int, int]]:
         node = self._node

@@ -2,7 +2,8 @@
 
 When the lease of PHM's participant ends only for a node, as for a process that was stopped or got no CPU, the node drops PHM's
 subscriptions. Fast DDS considers their announcements as acknowledged and does not send them again. PHM's graph is complete then, but
-it receives nothing more from this node (seen with Jazzy: a node that was stopped for 8 s). A new participant has new subscriptions.
+it receives nothing more from this node (seen with Jazzy and a lease of 5 s: a node that was stopped for 8 s). A new participant has new
+subscriptions.
 """
 
 from __future__ import annotations

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from phm.probes.ros import fastdds_profile
-from phm.probes.ros.fastdds_profile import adapt, profile, remove
+from phm.probes.ros.fastdds_profile import MAX_PEERS, adapt, profile, remove
 from phm.probes.ros.sandbox import OWN_PROFILE, PROFILE_VARIABLES
+from phm.probes.ros.supervisor import SupervisorLimits
 
 UDP = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
 LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
@@ -48,6 +49,37 @@ def test_static_peers_stay_with_the_discovery_range() -> None:
 def test_static_peers_are_looked_for_on_more_ports() -> None:
     """Fast DDS itself finds four processes of a peer."""
     assert "maxInitialPeersRange" in elements({**UDP, "ROS_STATIC_PEERS": "10.0.0.1"})
+
+
+def seconds(parent: ET.Element, name: str) -> float:
+    """A duration of the profile."""
+    parts = {one.tag.rpartition("}")[2]: int(one.text or "") for one in parent.iterfind(f".//{{*}}{name}/*")}
+    return parts.get("sec", 0) + parts.get("nanosec", 0) / 1e9
+
+
+@pytest.mark.parametrize("variables", [{}, LOCAL])
+@pytest.mark.parametrize("peers", [1, 2, 3, 6])
+def test_static_peers_are_not_flooded(peers: int, variables: dict[str, str]) -> None:
+    """Each announcement is a packet to each port of each peer, perhaps over a radio. Only the first five seconds have more."""
+    names = ";".join(f"10.0.0.{number + 1}" for number in range(peers))
+    found = ET.fromstring(profile({**UDP, **variables, "ROS_STATIC_PEERS": names}))
+    assert found.findtext(".//{*}maxInitialPeersRange") == str(MAX_PEERS)
+    period_s = seconds(found, "leaseAnnouncement")
+    assert peers * MAX_PEERS / period_s <= 40 or period_s == 3.0
+    first = found.find(".//{*}initialAnnouncements")
+    assert first is not None and int(first.findtext("{*}count", "")) * seconds(first, "period") == 5.0
+
+
+@pytest.mark.parametrize("variables", [{}, LOCAL, {"ROS_LOCALHOST_ONLY": "1", "ROS_STATIC_PEERS": "10.0.0.1"}])
+def test_without_static_peers_it_announces_often(variables: dict[str, str]) -> None:
+    """To a multicast address, or on loopback."""
+    assert seconds(ET.fromstring(profile({**UDP, **variables})), "leaseAnnouncement") == 0.25
+
+
+def test_the_lease_outlasts_a_starved_child() -> None:
+    """A node that drops PHM's participant while PHM keeps the node sends nothing to it any more."""
+    limits = SupervisorLimits()
+    assert seconds(ET.fromstring(profile(dict(UDP))), "leaseDuration") >= limits.silent_s + limits.starved_s
 
 
 def test_transports_of_the_users_own_stay() -> None:

@@ -9,7 +9,15 @@ import pytest
 
 from phm.facts import NameFact
 from phm.probes.ros import graph
-from phm.probes.ros.unconfigured_topics import CLOCK, MAX_COUNTED, MAX_NODES, MAX_TOPICS, POLL_S, UnconfiguredTopics
+from phm.probes.ros.unconfigured_topics import (
+    CLOCK,
+    MAX_COUNTED,
+    MAX_NODES,
+    MAX_READS,
+    MAX_TOPICS,
+    POLL_S,
+    UnconfiguredTopics,
+)
 
 
 class Domain:
@@ -73,3 +81,20 @@ def test_a_name_that_ros_does_not_allow_hides_no_other(monkeypatch: pytest.Monke
         topics.observe(2 * POLL_S * poll)
         assert topics.problem.endswith(r"/arm-state\n")
     assert list(topics.names) == ["/a", "/z"]
+
+
+def test_topics_without_names_do_not_starve_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """PX4's agent never gets a name, so its topics are read again and again; those whose users change are read before them."""
+    monkeypatch.setattr(graph, "quality_matters", lambda: False)
+    nameless = "_NODE_NAME_UNKNOWN_"
+    px4: dict[str, tuple[list[str], list[str]]] = {f"/fmu/{topic}": ([nameless], []) for topic in range(MAX_READS + 10)}
+    late, users = [nameless], ["a"]
+    topics = UnconfiguredTopics(Domain({**px4, "/late": (["n"], late), "/z": (["n"], users)}), ())
+    for poll in range(3):
+        topics.observe(2 * POLL_S * (poll + 1))
+    late[:] = ["b"]
+    users.append("b")
+    topics.observe(2 * POLL_S * 4)
+    assert topics.names["/z"] == NameFact(("/n",), ("/a", "/b"))
+    topics.observe(2 * POLL_S * 5)
+    assert topics.names["/late"] == NameFact(("/n",), ("/b",))

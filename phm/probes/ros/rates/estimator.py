@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 from phm.facts.ros import RateFact
 from phm.probes.ros.rates.publisher_stats import PublisherStats, Sample
-from phm.probes.ros.rates.publishers import PublisherDemux, PublisherRestarts, gone_after_s
+from phm.probes.ros.rates.publishers import GONE_S, NEW_S, PublisherDemux, PublisherRestarts, gone_after_s
 from phm.probes.ros.rates.silence import SilenceTimeout
 
 WINDOW_S, PERIODS = 3.0, 3
@@ -33,6 +33,9 @@ the publisher, so that a starved PHM still detects it; of the longest pause noth
 SLOW = 2
 """A publisher without a rate after this many times the time in which one of mean rate would be gone, so after 12 mean
 periods, is left out of the sum: all of them together publish less than a twelfth of the expected rate."""
+PACKET_BYTES = 65_000
+"""A larger sample is sent in several packets and lost with any of them, as PHM's subscription is best effort. So PHM may receive few of
+them, of a publisher that never pauses."""
 _SHARE = 0.2
 FADE_S, FADE_WINDOWS = 60.0, 20
 """Observations count for about this long, or this many windows if longer."""
@@ -130,9 +133,11 @@ class RateEstimator:
 
     def update(self, now_s: float, samples: Sequence[Sample], listening: Listening = ALONE) -> RateFact:
         """Process the samples since the last poll, oldest first. Called once per tick."""
-        self._listen(now_s, samples, listening)
+        passed_s = self._listen(now_s, samples, listening)
         self._slow_s = SLOW * gone_after_s(self._mean_hz(listening)) + listening.closed_s
         if samples:
+            if samples[0].sequence is None and not listening.complete and passed_s > LATE_S:
+                self.hold()  # while PHM did not run, samples were overwritten in the queue
             self._take(now_s, samples, listening)
         self._drop_gone(now_s, listening)
         self._restarts.settle(now_s, listening.closed_s, mixed=self.mixed(now_s))
@@ -180,8 +185,8 @@ class RateEstimator:
 
     # ---- input
 
-    def _listen(self, now_s: float, samples: Sequence[Sample], listening: Listening) -> None:
-        """Count the time without a sample in which one would have been received."""
+    def _listen(self, now_s: float, samples: Sequence[Sample], listening: Listening) -> float:
+        """Count the time without a sample in which one would have been received. Returns the time since the last poll."""
         passed_s = now_s - self._last_look_s if self._last_look_s is not None else 0.0
         self._last_look_s = now_s
         if not samples and listening.on:
@@ -189,6 +194,7 @@ class RateEstimator:
             # Only the longest of the pauses until now is shortened.
             self._quiet_s += _listened_s(passed_s) - _cut_s(longest_s) + _cut_s(self._paused_s)
             self._paused_s = longest_s
+        return passed_s
 
     def _take(self, now_s: float, samples: Sequence[Sample], listening: Listening) -> None:
         before_s, self._last_s = self._last_s, now_s
@@ -199,12 +205,22 @@ class RateEstimator:
             samples = self._sorter.sort(samples, listening.publishers, complete=listening.complete)
         elif self._sorter is not None:
             self._take_back()
+        if self._silence is not None and self._quiet_s > self._silence.most_s and self._published(samples, listening):
+            self._silence.disproved(self._quiet_s, now_s)
         steady = True
         for sample in samples:
             steady = self._add(sample) and steady
         if self._silence is not None and before_s is not None and steady:
             self._silence.ended(self._quiet_s, now_s)
         self._quiet_s = self._paused_s = 0.0
+
+    def _published(self, samples: Sequence[Sample], listening: Listening) -> bool:
+        """Whether these, the first ones after a silence, show that a publisher of large samples has published on meanwhile."""
+        if (self.sample_bytes or 0.0) <= PACKET_BYTES:
+            return False
+        hz = self._mean_hz(listening)
+        tracks = ((self._tracks.get(sample.writer), sample) for sample in samples)
+        return any(track is not None and track.published(sample, hz) for track, sample in tracks)
 
     def _hand_over(self) -> None:
         """Pass the former single publisher to the sorter: another one may replace it."""
@@ -252,11 +268,15 @@ class RateEstimator:
         if len(self._tracks) < 2 or self._last_s is None:
             return
         sure = self._sorter is None or not self._sorter.unreliable(listening.publishers, now_s)
+        most = 1 + NEW_S * self._expected_hz
         for writer, track in list(self._tracks.items()):
-            if track.hz is None and len(self._tracks) <= listening.publishers:
+            if not listening.several and any(other.takes_place(track, most) for other in self._tracks.values()):
+                gone_s = GONE_S  # a restarted node, of which discovery still lists both publishers
+            elif track.hz is None and len(self._tracks) <= listening.publishers:
                 continue  # as many as are listed: it may be a slow one, whose next message is not due yet
-            hz = self._mean_hz(listening) if track.hz is None else track.hz
-            if self._last_s - track.at_s <= gone_after_s(hz) + listening.closed_s:
+            else:
+                gone_s = gone_after_s(self._mean_hz(listening) if track.hz is None else track.hz)
+            if self._last_s - track.at_s <= gone_s + listening.closed_s:
                 continue
             del self._tracks[writer]
             if sure:

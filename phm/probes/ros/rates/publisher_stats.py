@@ -25,6 +25,8 @@ publisher."""
 JITTERS = 4.0
 MISSING = 0.05
 """The smallest share of the time between two samples in which nothing was published that is not neglected."""
+PUBLISHED = 0.5
+"""The least share of the expected rate that disproves a silence."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,6 +141,14 @@ class PublisherStats:
         late_s = seconds - count / hz
         explained_s = max(MISSING * seconds, JITTERS * (self.jitter_s or 0.0))
         return late_s if count > 0 and late_s > explained_s else 0.0
+
+    def published(self, sample: Sample, expected_hz: float) -> bool:
+        """Whether it has published on since its newest sample, at PUBLISHED of this rate or more: what is missing was lost on the way."""
+        last = self.last
+        if last is None or last.sequence is None or sample.sequence is None:
+            return False
+        count = sample.sequence - last.sequence
+        return count > 1 and count >= PUBLISHED * expected_hz * (sample.at_s - last.at_s)
 
     def mixed(self, now_s: float) -> bool:
         """Whether these sequence numbers must be those of several publishers."""

@@ -20,6 +20,11 @@ LEAST, LEAST_S = 20, 15.0
 HORIZON_S = 600.0
 """How long a pause is remembered, or HORIZON periods if longer."""
 HORIZON = 60
+LOST, LOST_MOST_S = 2.0, 30.0
+"""A pause in which messages were only lost on the way may be exceeded by this factor, up to LOST_MOST_S, or to the configured
+limit by this factor if that is longer: the end of the publisher must still be found."""
+LOST_S = 120.0
+"""How long such a pause is remembered, or HORIZON periods if longer: it may have been an interruption of the network."""
 _SHARE = 0.05
 BUCKETS = 10
 
@@ -52,7 +57,7 @@ class WindowedMax:
 
 
 class SilenceTimeout:
-    """The silence limit of one topic. `most_s` is the configured limit, and never exceeded; the limit never falls below
+    """The silence limit of one topic. `most_s` is the configured limit, and exceeded only by `disproved`; the limit never falls below
     `least_s`.
 
     Between them the limit follows the pauses that ended by themselves: longest + max(0.5 s, 2 * (longest - usual)), at
@@ -75,14 +80,18 @@ class SilenceTimeout:
         self._seen = 0
         self._began_s: float | None = None
         self._limit_s = most_s
+        self._lost = WindowedMax(max(LOST_S, HORIZON * period_s))
+        """Limits by pauses in which messages were only lost on the way."""
 
     @property
     def limit_s(self) -> float:
-        return self._limit_s
+        return max(self._limit_s, self._lost.most or 0.0)
 
     def ended(self, pause_s: float, now_s: float) -> None:
         """Record a pause, perhaps of zero length, that ended by itself. One above `most_s` was a silence and is not
         used."""
+        if self._lost.most:
+            self._lost.add(0.0, now_s)
         if pause_s > self.most_s:
             return
         if self._began_s is None:
@@ -94,3 +103,7 @@ class SilenceTimeout:
             longest_s = self._longest.most or 0.0
             margin_s = max(MARGIN_S, SPREADS * (longest_s - self._usual_s), self._missing_s)
             self._limit_s = min(self.most_s, max(self._least_s, longest_s + margin_s))
+
+    def disproved(self, pause_s: float, now_s: float) -> None:
+        """Record a silence that was none: its messages were published, and lost on the way to PHM. The next ones may be, too."""
+        self._lost.add(min(LOST * pause_s, max(LOST_MOST_S, LOST * self.most_s)), now_s)

@@ -49,6 +49,22 @@ def test_all_samples_are_counted_without_sequence_numbers() -> None:
     assert fact.hz == pytest.approx(40.0, rel=1e-3)
 
 
+def test_samples_that_were_overwritten_while_phm_did_not_run_are_no_low_rate() -> None:
+    """Without sequence numbers, a full queue after a late poll is not all that was published."""
+    meter, found = RateEstimator(10.0, 3.0), list[float | None]()
+    for now_s, samples in polls(even(10.0, 100.0, 60.0, numbered=False), 100.0, 160.0, depth=10, tick_s=1.5):
+        found.append(meter.update(now_s, samples, Listening(complete=len(samples) < 10)).hz)
+    assert all(hz is None or hz == pytest.approx(10.0, rel=0.1) for hz in found)
+
+
+def test_a_rate_is_kept_while_samples_are_overwritten() -> None:
+    """It was measured before PHM got little CPU."""
+    meter, publications = RateEstimator(10.0, 3.0), even(10.0, 100.0, 60.0, numbered=False)
+    feed(meter, publications, 100.0, 130.0, depth=10)
+    late = [publication for publication in publications if publication.received_s > 130.0]
+    assert feed(meter, late, 130.0, 160.0, depth=10, tick_s=1.5).hz == pytest.approx(10.0, rel=0.01)
+
+
 def test_two_samples_close_together_give_no_rate() -> None:
     """With less than one second of publication time the rate is unknown, not wrong."""
     fact = one(10.0, 0.5)

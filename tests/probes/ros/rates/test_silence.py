@@ -7,10 +7,10 @@ import pytest
 from phm.core.settings import RosSettings
 from phm.probes.ros.rates import silence
 from phm.probes.ros.rates.estimator import RateEstimator
-from phm.probes.ros.rates.silence import LEAST, SilenceTimeout, WindowedMax
+from phm.probes.ros.rates.silence import LEAST, LOST_MOST_S, SilenceTimeout, WindowedMax
 from phm.probes.ros.wanted import wanted
 from phm_checks import rates
-from tests.fakes.ros_flow import TICK_S, Publication, polls, silent_from, trace
+from tests.fakes.ros_flow import TICK_S, Publication, even, polls, silent_from, trace
 
 CONFIGURED_S = 3.0
 SETTLE_S = 2.0
@@ -166,6 +166,47 @@ def test_a_pause_is_forgotten_after_ten_minutes() -> None:
     """One stall does not delay detection permanently."""
     assert fed(1.0, [1.0] * 50 + [2.5] + [1.0] * 500).limit_s == 3.0
     assert fed(1.0, [1.0] * 50 + [2.5] + [1.0] * 700).limit_s == pytest.approx(1.5)
+
+
+LOST_HZ, EVERY = 30.0, 200
+"""PHM receives each 200th message: one in 6.7 s."""
+
+
+def lossy(seconds: float, size: int = 6_200_000) -> list[Publication]:
+    return even(LOST_HZ, 0.0, seconds, size=size)[EVERY - 1 :: EVERY]
+
+
+def test_messages_that_only_phm_misses_are_not_a_silence() -> None:
+    """Large ones, of which a packet is lost. The sequence numbers show that the publisher never paused; its end is still found."""
+    meter, received = RateEstimator(LOST_HZ, CONFIGURED_S), lossy(120.0)
+    second_s, end_s = received[1].received_s, received[-1].received_s
+    began = silent_from(meter, received, 0.0, end_s + 20.0)
+    assert [at_s for at_s in began if second_s < at_s <= end_s] == []
+    assert 12.0 < began[-1] - end_s < 14.0
+
+
+def test_only_large_messages_are_lost_on_the_way() -> None:
+    """After an interruption of the network the numbers of small ones have advanced, too, and an end must be found as before."""
+    meter = RateEstimator(LOST_HZ, CONFIGURED_S)
+    assert len(silent_from(meter, lossy(120.0, size=1000), 0.0, 120.0)) > 10
+
+
+def test_a_publisher_that_pauses_is_silent_each_time() -> None:
+    """Its numbers have not advanced meanwhile."""
+    meter, received = RateEstimator(LOST_HZ, CONFIGURED_S), list[Publication]()
+    for start in range(10):
+        received += even(LOST_HZ, 10.0 * start, 3.0, first=1 + 90 * start, size=6_200_000)
+    assert len(silent_from(meter, received, 0.0, 100.0)) == 10
+
+
+def test_lost_messages_are_forgotten_and_never_hide_the_end() -> None:
+    """Within two minutes; and after a long interruption the end of a publisher is found after 30 s."""
+    timeout = SilenceTimeout(LOST_HZ, CONFIGURED_S)
+    timeout.disproved(60.0, 0.0)
+    assert timeout.limit_s == LOST_MOST_S
+    for second in range(1, 140):
+        timeout.ended(0.0, float(second))
+    assert timeout.limit_s < CONFIGURED_S
 
 
 def test_a_windowed_maximum_forgets_old_values() -> None:

@@ -74,3 +74,29 @@ def test_a_single_message_of_another_publisher_does_not_hide_the_rate() -> None:
     found = rates(10.0, publications, 2, START_S + 59.0)
     assert sum(hz is None for now_s, hz in found if now_s > START_S + 20.0) <= 16
     assert found[-1][1] == pytest.approx(10.0, rel=0.01)
+
+
+@pytest.mark.parametrize("paused_s", [4.0, 0.5], ids=["silent meanwhile", "quickly"])
+def test_a_restarted_slow_publisher_has_its_rate_soon(paused_s: float) -> None:
+    """The killed one is listed for up to 20 s more; its rate must not hide that of the new one, nor be added to it."""
+    back_s = START_S + 60.0 + paused_s
+    publications = even(1.0, START_S, 60.0, writer=b"1") + even(1.0, back_s, 40.0, writer=b"2")
+    meter, depth = RateEstimator(1.0, 3.0), 2 * PER_PUBLISHER
+    for now_s, samples in polls(publications, START_S, back_s + 40.0, depth):
+        fact = meter.update(now_s, samples, Listening(2, several=False, complete=len(samples) < depth))
+        assert fact.hz is None or fact.hz < 1.1
+        if now_s >= back_s + 5.0:
+            assert fact.hz == pytest.approx(1.0), now_s
+    assert fact.restarts == 1
+
+
+@pytest.mark.parametrize("apart_s", [0.3, 1.7, 2.6])
+def test_two_slow_publishers_of_one_node_are_not_a_restart(apart_s: float) -> None:
+    """One message of the second one looks as if it had replaced the first one, until that publishes again."""
+    first = even(0.2, START_S, 120.0, writer=b"1")
+    second = even(0.2, START_S + apart_s, 120.0 - apart_s, writer=b"2")
+    meter, depth = RateEstimator(0.4, 3.0), 2 * PER_PUBLISHER
+    for now_s, samples in polls(first + second, START_S, START_S + 119.0, depth):
+        fact = meter.update(now_s, samples, Listening(2, several=False, complete=len(samples) < depth))
+        assert fact.hz is None or fact.hz > 0.36, now_s
+    assert (fact.restarts, fact.hz) == (0, pytest.approx(0.4, rel=0.05))
