@@ -12,7 +12,7 @@ from phm.facts.swarm import PeerFact, SwarmFact
 from phm.swarm.agent_count import SmoothedAgentCount
 from phm.swarm.consensus import Consensus, compute_consensus, without_gcs
 from phm.swarm.leader_election import VIEWS_S, LeaderElection
-from phm.swarm.peers import Peers
+from phm.swarm.peers import LOST_PERIODS, Peers
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
 from phm.transport.priority import default_periods
@@ -106,7 +106,7 @@ class SwarmMonitor:
             receives = not any(name in closed and now - at <= LINK_S for name, at in self._links.items())
             self._peers.watch(now, period_s, receives=receives)
             agreed = compute_consensus(self._peers, now)
-            leader = self._election.leader(agreed, gcs, now)
+            leader = self._election.leader(agreed, gcs and not self._awaits_views(agreed, now, period_s), now)
             no_gcs = self._without_ground(agreed, gcs, now, period_s)
             duplicate_ids, unlisted = self._peers.duplicate_ids(now), self._peers.unlisted(now)
             recent = [name for name, at in self._links.items() if now - at <= LINK_S]
@@ -131,6 +131,11 @@ class SwarmMonitor:
             agreed.receive_none,
             period_s,
         )
+
+    def _awaits_views(self, agreed: Consensus, now: float, period_s: float) -> bool:
+        """Whether this agent was started only now, and an agent with a lower id may lead whose view has not been received yet."""
+        new = now - self._began < LOST_PERIODS * period_s
+        return new and any(agreed.statuses[agent].gcs is None for agent in agreed.living if agent < self._own)
 
     def _without_ground(self, agreed: Consensus, gcs: bool, now: float, period_s: float) -> tuple[int, ...]:
         """`without_gcs`; none while a ground station has only just appeared: the views of most are from before."""
@@ -188,10 +193,15 @@ class SwarmMonitor:
                 return None  # other programs send an all-zero word
         except ValueError:
             return None
-        leaving = message.system_status == mavlink.MAV_STATE_POWEROFF
         with self._lock:
             return self._peers.heartbeat(
-                agent, message.custom_mode, self._clock.mono(), leaving=leaving, frame=message.get_seq(), link=link
+                agent,
+                message.custom_mode,
+                self._clock.mono(),
+                leaving=message.system_status == mavlink.MAV_STATE_POWEROFF,
+                booting=message.system_status == mavlink.MAV_STATE_BOOT,
+                frame=message.get_seq(),
+                link=link,
             )
 
     def _tunnel(self, agent: int, message: Any) -> bool | None:
@@ -229,4 +239,5 @@ class SwarmMonitor:
             status.gcs,
             status.word,
             now - self._since[agent][1],
+            0 if peer is None else peer.restarts,
         )

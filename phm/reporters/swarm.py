@@ -119,7 +119,9 @@ class SwarmReporter(Reporter):
         autopilot, radio = (ask is not None and ask() for ask in (self._context.autopilot, self._context.radio))
         new = fact.up_s < LOST_PERIODS * self._heartbeat_s()
         seen = {agent: _seen(peer, self._agent in peer.received_by, new) for agent, peer in fact.peers.items()}
-        said = (fact.gcs, autopilot, radio, tuple(sorted(seen.items())))
+        # An agent that was started again has no views: it must not lead beside the leader until the next ones are due.
+        restarts = sum(peer.restarts for peer in fact.peers.values())
+        said = (fact.gcs, autopilot, radio, tuple(sorted(seen.items())), restarts)
         heartbeat_s = self._heartbeat_s()
         since_s = now - self._view_at
         if said == self._viewed:

@@ -49,6 +49,10 @@ class Peer:
     word: int = 0
     leaving: bool = False
     """It sent POWEROFF: the silence that follows is planned."""
+    booting: bool = False
+    """Its first report is not complete."""
+    restarts: int = 0
+    """How often it began to boot since it was first received."""
     view: PeerView | None = None
     view_s: float | None = None
     timed_link: str = ""
@@ -160,11 +164,20 @@ class Peers:
                 self._peers[agent] = peer
 
     def heartbeat(
-        self, agent: int, word: int, now: float, *, leaving: bool = False, frame: int | None = None, link: str = ""
+        self,
+        agent: int,
+        word: int,
+        now: float,
+        *,
+        leaving: bool = False,
+        booting: bool = False,
+        frame: int | None = None,
+        link: str = "",
     ) -> bool:
         """Take a heartbeat of another agent's PHM. True when its state or its content changed.
 
-        frame: the sequence number of its MAVLink frame, which counts all that this sender sends on the link.
+        leaving, booting: its state is POWEROFF, or BOOT. frame: the sequence number of its MAVLink frame, which counts all that this
+        sender sends on the link.
         """
         if agent == self.own or self._is_unlisted(agent, now):
             return False
@@ -180,6 +193,8 @@ class Peers:
                 peer.period_s += LEARN * (gap_s - peer.period_s)
                 peer.stats.add_gap(gap_s)
         self._fade(peer, now)
+        peer.restarts += booting and not peer.booting and peer.received_s is not None
+        peer.booting = booting
         peer.received_s, peer.word, peer.leaving = now, word, leaving
         peer.lost_together = peer.lost_alone = False
         return before != (peer.state(now), word, leaving)
