@@ -109,8 +109,14 @@ def _agent(agent: int, fact: api.SwarmFact) -> api.Result:
         "received_by": len(peer.received_by),
         "not_received_by": len(peer.not_received_by),
     }
+    others = set(peer.not_received_by) - {fact.own}
     # Another agent has lost it too, so a delay on this agent is not the cause.
-    known = api.Evidence(conclusive=bool(set(peer.not_received_by) - {fact.own}))
+    known = api.Evidence(conclusive=bool(others))
+    # In its first periods this agent has no vote on what it has not received yet: the others may be sufficient without it.
+    without_own = len(others) > (len(peer.received_by) if peer.state == "lost" else 0)
+    started = fact.up_s < GRACE_PERIODS * fact.heartbeat_s
+    if started and peer.age_s is None and (peer.state == "never seen" or not without_own):
+        return api.stale(f"no heartbeat from agent {name} received so far", values=values)
     disagreement = f", but still received by {_names(peer.received_by)}" if peer.received_by else ""
     silent = "" if peer.age_s is None else f", here for {span(peer.age_s)}"
     if peer.state == "lost":
@@ -119,8 +125,6 @@ def _agent(agent: int, fact: api.SwarmFact) -> api.Result:
             "vehicle, its power and its radio"
         )
         return api.Result(Level.ERROR, words, brief(name, "lost"), "peer_lost", values=values, evidence=known)
-    if peer.state == "never seen" and fact.up_s < GRACE_PERIODS * fact.heartbeat_s:
-        return api.stale(f"no heartbeat from agent {name} received so far", values=values)
     if peer.state == "never seen":
         words = f"no heartbeat ever received from agent {name}, which is configured in swarm.agents: check that it is powered on and on this network"
         return api.Result(
