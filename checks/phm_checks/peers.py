@@ -16,6 +16,10 @@ GRACE_PERIODS = 5.0
 SETTLE_S = 5.0
 """Agents that disappear together are detected together (`phm.swarm.group_loss`) or within seconds of each other. A split
 is reported immediately, before single agents are."""
+TOGETHER_S = 15.0
+"""Agents lost within this time of each other were lost together, as in a split."""
+MOST = 8
+"""Agents that are named."""
 SWARM = "peers/swarm"
 THERE = ("alive", "late", "partly reachable")
 
@@ -160,17 +164,17 @@ def _duplicate_ids(fact: api.SwarmFact) -> list[api.Result]:
 
 
 def _all_peers_lost(fact: api.SwarmFact) -> list[api.Result]:
-    """One fault when all others are lost together: the likely cause is this agent's own radio."""
+    """One fault when all others are lost: if they were lost together, the likely cause is this agent's own radio."""
     lost = [agent for agent, peer in fact.peers.items() if peer.state == "lost" and fact.own not in peer.received_by]
     if len(lost) < 2 or len(lost) < len(_received(fact)):
         return []
-    return [
-        api.error(
-            f"no heartbeat from any other agent, {_names(lost)} were lost together: check this agent's own link first",
-            brief=brief("all peers", "lost"),
-            condition="all_peers_lost",
-        )
-    ]
+    ages = sorted((age_s, agent) for agent in lost if (age_s := fact.peers[agent].age_s) is not None)
+    if ages and ages[-1][0] - ages[0][0] > TOGETHER_S:
+        since = ", ".join(f"{_name(agent)} for {span(age_s)}" for age_s, agent in ages[:MOST])
+        words = f"no heartbeat from any other agent, {since}: check the vehicle of {_name(ages[0][1])} first, then this agent's own link"
+    else:
+        words = f"no heartbeat from any other agent, {_names(lost)} were lost together: check this agent's own link first"
+    return [api.error(words, brief=brief("all peers", "lost"), condition="all_peers_lost")]
 
 
 def _received(fact: api.SwarmFact) -> list[int]:
@@ -178,7 +182,7 @@ def _received(fact: api.SwarmFact) -> list[int]:
     return [agent for agent, peer in fact.peers.items() if peer.state not in ("left", "never seen")]
 
 
-def _names(agents: Iterable[int], most: int = 8) -> str:
+def _names(agents: Iterable[int], most: int = MOST) -> str:
     """`A01 A02`, and `+3` for those beyond `most`."""
     ids = sorted(agents)
     more = f" +{len(ids) - most}" if len(ids) > most else ""

@@ -138,6 +138,14 @@ def test_losing_all_agents_is_a_fault_of_the_own_radio() -> None:
     assert (result.condition, result.brief) == ("all_peers_lost", "all peers lost")
 
 
+def test_agents_lost_one_after_the_other_were_not_lost_together() -> None:
+    """The last one is more likely to have failed than this agent's own link."""
+    result = evaluate({2: PeerFact("lost", 1200.0, (), (1,)), 3: PeerFact("lost", 12.0, (), (1,))})[SWARM]
+    assert (result.condition, result.brief) == ("all_peers_lost", "all peers lost")
+    assert "A03 for 12 s, A02 for 20 min: check the vehicle of A03 first" in result.summary
+    assert "together" not in result.summary
+
+
 @pytest.mark.parametrize("other", [PeerFact("never seen", None), PeerFact("left", 70.0)])
 def test_an_agent_that_is_not_there_does_not_make_a_split_of_it(other: PeerFact) -> None:
     """It was never switched on, or has left: all that could be received were lost."""
