@@ -16,6 +16,10 @@ GRACE_PERIODS = 5.0
 SETTLE_S = 5.0
 """Agents that disappear together are detected together (`phm.swarm.group_loss`) or within seconds of each other. A split
 is reported immediately, before single agents are."""
+TOGETHER_S = 15.0
+"""Agents lost within this time of each other were lost together, as in a split."""
+MOST = 8
+"""Agents that are named."""
 SWARM = "peers/swarm"
 THERE = ("alive", "late", "partly reachable")
 
@@ -107,8 +111,14 @@ def _agent(agent: int, fact: api.SwarmFact) -> api.Result:
         "received_by": len(peer.received_by),
         "not_received_by": len(peer.not_received_by),
     }
+    others = set(peer.not_received_by) - {fact.own}
     # Another agent has lost it too, so a delay on this agent is not the cause.
-    known = api.Evidence(conclusive=bool(set(peer.not_received_by) - {fact.own}))
+    known = api.Evidence(conclusive=bool(others))
+    # In its first periods this agent has no vote on what it has not received yet: the others may be sufficient without it.
+    without_own = len(others) > (len(peer.received_by) if peer.state == "lost" else 0)
+    started = fact.up_s < GRACE_PERIODS * fact.heartbeat_s
+    if started and peer.age_s is None and (peer.state == "never seen" or not without_own):
+        return api.stale(f"no heartbeat from agent {name} received so far", values=values)
     disagreement = f", but still received by {_names(peer.received_by)}" if peer.received_by else ""
     silent = "" if peer.age_s is None else f", here for {span(peer.age_s)}"
     if peer.state == "lost":
@@ -117,8 +127,6 @@ def _agent(agent: int, fact: api.SwarmFact) -> api.Result:
             "vehicle, its power and its radio"
         )
         return api.Result(Level.ERROR, words, brief(name, "lost"), "peer_lost", values=values, evidence=known)
-    if peer.state == "never seen" and fact.up_s < GRACE_PERIODS * fact.heartbeat_s:
-        return api.stale(f"no heartbeat from agent {name} received so far", values=values)
     if peer.state == "never seen":
         words = f"no heartbeat ever received from agent {name}, which is configured in swarm.agents: check that it is powered on and on this network"
         return api.Result(
@@ -154,17 +162,17 @@ def _duplicate_ids(fact: api.SwarmFact) -> list[api.Result]:
 
 
 def _all_peers_lost(fact: api.SwarmFact) -> list[api.Result]:
-    """One fault when all others are lost together: the likely cause is this agent's own radio."""
+    """One fault when all others are lost: if they were lost together, the likely cause is this agent's own radio."""
     lost = [agent for agent, peer in fact.peers.items() if peer.state == "lost" and fact.own not in peer.received_by]
     if len(lost) < 2 or len(lost) < len(_received(fact)):
         return []
-    return [
-        api.error(
-            f"no heartbeat from any other agent, {_names(lost)} were lost together: check this agent's own link first",
-            brief=brief("all peers", "lost"),
-            condition="all_peers_lost",
-        )
-    ]
+    ages = sorted((age_s, agent) for agent in lost if (age_s := fact.peers[agent].age_s) is not None)
+    if ages and ages[-1][0] - ages[0][0] > TOGETHER_S:
+        since = ", ".join(f"{_name(agent)} for {span(age_s)}" for age_s, agent in ages[:MOST])
+        words = f"no heartbeat from any other agent, {since}: check the vehicle of {_name(ages[0][1])} first, then this agent's own link"
+    else:
+        words = f"no heartbeat from any other agent, {_names(lost)} were lost together: check this agent's own link first"
+    return [api.error(words, brief=brief("all peers", "lost"), condition="all_peers_lost")]
 
 
 def _received(fact: api.SwarmFact) -> list[int]:
@@ -172,7 +180,7 @@ def _received(fact: api.SwarmFact) -> list[int]:
     return [agent for agent, peer in fact.peers.items() if peer.state not in ("left", "never seen")]
 
 
-def _names(agents: Iterable[int], most: int = 8) -> str:
+def _names(agents: Iterable[int], most: int = MOST) -> str:
     """`A01 A02`, and `+3` for those beyond `most`."""
     ids = sorted(agents)
     more = f" +{len(ids) - most}" if len(ids) > most else ""

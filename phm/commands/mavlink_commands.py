@@ -44,6 +44,7 @@ from phm.wire.command import (
     SendDetails,
     SendMessage,
     describe,
+    requested_key,
     required_permission,
 )
 
@@ -270,7 +271,7 @@ class MavlinkCommands:
             mono=now,
             utc=self._clock.utc(),
         )
-        self._port.send(built, MessagePriority.REQUEST, key=f"requested {message}", urgency=1, link=link)
+        self._port.send(built, MessagePriority.REQUEST, key=requested_key(message), urgency=1, link=link)
         return Reply(CommandResult.ACCEPTED, f"sending message {message}")
 
     def _send_rates(self, link: str, now: float) -> Reply:

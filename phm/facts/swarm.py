@@ -18,6 +18,7 @@ class PeerFact:
     gcs:                 whether it reports that it receives a ground station; None if it has not reported this recently.
     word:                its newest status word.
     since_s:             how long it has been in this state.
+    restarts:            how often its PHM was started, or reloaded its configuration, since it was first received.
     """
 
     state: str
@@ -27,6 +28,7 @@ class PeerFact:
     gcs: bool | None = None
     word: int = 0
     since_s: float = float("inf")
+    restarts: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,6 +32,7 @@ from phm.gcs.frames import (
 from phm.gcs.presence import PresenceState
 from phm.gcs.statustext_parser import LineKind, ParsedLine
 from phm.wire import tunnel
+from phm.wire.command import REPLY_TEXT
 from phm.wire.text import one_line
 from phm.wire.tunnel import AGENTS, PAYLOAD_TYPE, FaultDetail, PeerView, StatusWords, SwarmDigest, TunnelError
 
@@ -225,6 +226,8 @@ class FleetState:
                 at, "words", {**who, "words": {str(one): word for one, word in sorted(message.words.items())}}
             )
         elif isinstance(message, FaultDetail):
+            if message.fault == REPLY_TEXT and payload.to[0] != 0 and payload.to != self._own:
+                return  # it answers a command of another ground station
             text = agent.part(message)
             if text is not None:
                 agent.take_text(message.fault, one_line(text))

@@ -57,12 +57,13 @@ class StatusText:
 
 @dataclass(frozen=True, slots=True)
 class TunnelPayload:
-    """The content of a TUNNEL."""
+    """The content of a TUNNEL. to: MAVLink ids of the receiver; 0: all."""
 
     system: int
     component: int
     kind: int
     data: bytes
+    to: tuple[int, int] = (0, 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +140,8 @@ def parse(message: Any) -> Frame | None:
             system, component, message.severity, one_line(_text(message.text))[:MAX_TEXT], bool(message.get_signed())
         )
     if number == TUNNEL:
-        return TunnelPayload(system, component, message.payload_type, bytes(message.payload[: message.payload_length]))
+        data, to = bytes(message.payload[: message.payload_length]), (message.target_system, message.target_component)
+        return TunnelPayload(system, component, message.payload_type, data, to)
     if number == RADIO_STATUS:
         levels = (message.rssi, message.remrssi, message.noise, message.remnoise)
         rssi, remrssi, noise, remnoise = (None if level == _UNKNOWN else level for level in levels)

@@ -11,8 +11,8 @@ from phm.core.settings import MavlinkSettings, SwarmSettings
 from phm.facts.swarm import PeerFact, SwarmFact
 from phm.swarm.agent_count import SmoothedAgentCount
 from phm.swarm.consensus import Consensus, compute_consensus, without_gcs
-from phm.swarm.leader_election import LeaderElection
-from phm.swarm.peers import Peers
+from phm.swarm.leader_election import VIEWS_S, LeaderElection
+from phm.swarm.peers import LOST_PERIODS, Peers
 from phm.transport.dialect import mavlink
 from phm.transport.mavlink import MavlinkHub
 from phm.transport.priority import default_periods
@@ -22,6 +22,9 @@ FRESH_S, FRESH_PERIODS = 0.5, 0.1
 """Maximum age of the cached fact, the shorter of both: silence is detected only by looking."""
 LINK_S = 60.0
 """A link without a frame from another agent for this long leads to no agent."""
+GROUND_PERIODS = 2.5
+"""Where a ground station has appeared, agents that do not receive it are known after so many periods, at least VIEWS_S. A view that
+was lost is sent again a period later."""
 
 
 class SwarmMonitor:
@@ -57,6 +60,8 @@ class SwarmMonitor:
         self._peers = Peers(self._own, self._period_s(self._agents), expected, clock.late_s)
         self._agent_count = SmoothedAgentCount(self._agents, clock.mono())
         self._election = LeaderElection()
+        self._ground_from: float | None = None
+        """Since when at least one agent receives the ground without a break."""
         self._links: dict[str, float] = {}
         self._began = clock.mono()
         self._shown: object = None
@@ -74,6 +79,7 @@ class SwarmMonitor:
         would seem to be one that was never there."""
         with before._lock, self._lock:
             self._links, self._since, self._fresh = before._links, before._since, (0.0, None)
+            self._election, self._ground_from = before._election, before._ground_from
             if self._expected == before._expected:
                 self._peers, self._agent_count = before._peers, before._agent_count
                 self._began = before._began
@@ -100,7 +106,8 @@ class SwarmMonitor:
             receives = not any(name in closed and now - at <= LINK_S for name, at in self._links.items())
             self._peers.watch(now, period_s, receives=receives)
             agreed = compute_consensus(self._peers, now)
-            leader = self._election.leader(agreed, gcs, now)
+            leader = self._election.leader(agreed, gcs and not self._awaits_views(agreed, now, period_s), now)
+            no_gcs = self._without_ground(agreed, gcs, now, period_s)
             duplicate_ids, unlisted = self._peers.duplicate_ids(now), self._peers.unlisted(now)
             recent = [name for name, at in self._links.items() if now - at <= LINK_S]
             links = tuple(sorted(recent or self._links))  # an agent that receives none must still send that it does
@@ -114,7 +121,7 @@ class SwarmMonitor:
             len(agreed.living),
             peers,
             agreed.split,
-            without_gcs(agreed, gcs),
+            no_gcs,
             duplicate_ids,
             leader,
             gcs,
@@ -124,6 +131,21 @@ class SwarmMonitor:
             agreed.receive_none,
             period_s,
         )
+
+    def _awaits_views(self, agreed: Consensus, now: float, period_s: float) -> bool:
+        """Whether this agent was started only now, and an agent with a lower id may lead whose view has not been received yet."""
+        new = now - self._began < LOST_PERIODS * period_s
+        return new and any(agreed.statuses[agent].gcs is None for agent in agreed.living if agent < self._own)
+
+    def _without_ground(self, agreed: Consensus, gcs: bool, now: float, period_s: float) -> tuple[int, ...]:
+        """`without_gcs`; none while a ground station has only just appeared: the views of most are from before."""
+        if not (gcs or any(status.gcs for status in agreed.statuses.values())):
+            self._ground_from = None
+            return ()
+        if self._ground_from is None:
+            self._ground_from = now
+        known = now - self._ground_from >= max(VIEWS_S, GROUND_PERIODS * period_s)
+        return without_gcs(agreed, gcs) if known else ()
 
     def wake_if_changed(self) -> None:
         """Compute the fact. The number of agents sets the links' budgets."""
@@ -171,10 +193,15 @@ class SwarmMonitor:
                 return None  # other programs send an all-zero word
         except ValueError:
             return None
-        leaving = message.system_status == mavlink.MAV_STATE_POWEROFF
         with self._lock:
             return self._peers.heartbeat(
-                agent, message.custom_mode, self._clock.mono(), leaving=leaving, frame=message.get_seq(), link=link
+                agent,
+                message.custom_mode,
+                self._clock.mono(),
+                leaving=message.system_status == mavlink.MAV_STATE_POWEROFF,
+                booting=message.system_status == mavlink.MAV_STATE_BOOT,
+                frame=message.get_seq(),
+                link=link,
             )
 
     def _tunnel(self, agent: int, message: Any) -> bool | None:
@@ -212,4 +239,5 @@ class SwarmMonitor:
             status.gcs,
             status.word,
             now - self._since[agent][1],
+            0 if peer is None else peer.restarts,
         )

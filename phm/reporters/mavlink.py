@@ -29,6 +29,7 @@ from phm.reporters.swarm import MISSED_HEARTBEATS
 from phm.transport.dialect import mavlink
 from phm.transport.priority import MessagePriority, default_periods
 from phm.wire import status_line, status_word
+from phm.wire.command import STATUSTEXT, requested_key
 from phm.wire.status_line import Severity
 
 PEERS = "peers/"
@@ -210,9 +211,11 @@ class MavlinkReporter(Reporter):
             self._renew_refresh()
 
     def _renew_refresh(self) -> None:
-        """A refresh that waits for a link's budget leaves after the lines about changes, and must not deny them."""
+        """A refresh that waits for a link's budget, also a requested one, leaves after the lines about changes, and must not deny them."""
         line = self._builder.refresh(self._context.states())
         self._port.send(_statustext(line), line.kind, key=line.key, urgency=int(line.severity), only_replace=True)
+        key = requested_key(STATUSTEXT)
+        self._port.send(_statustext(line), MessagePriority.REQUEST, key=key, urgency=1, only_replace=True)
 
     def _heartbeat(self) -> None:
         states = self._context.states()

@@ -29,6 +29,8 @@ VIEW_HEARTBEATS = 20
 """Heartbeats between two views without a change. A view is also sent immediately after a change, and again a heartbeat later."""
 CALM_S = 1.0
 """Changes within this time, or half a heartbeat, go out as one view: agents are lost and found in groups."""
+GROUND_S = 3.0
+"""An agent that was started now says only after this time that it receives no ground station: their heartbeats come once a second."""
 TUNNEL_BYTES = 128
 MISSED_HEARTBEATS = 6
 """The loss of a leader is detected after five of its heartbeats: it may not have reported changes within them."""
@@ -112,10 +114,14 @@ class SwarmReporter(Reporter):
     # ------------------------------------------------------------ to the agents
 
     def _view(self, fact: SwarmFact, now: float) -> None:
+        if fact.up_s < GROUND_S and not fact.gcs:
+            return
         autopilot, radio = (ask is not None and ask() for ask in (self._context.autopilot, self._context.radio))
         new = fact.up_s < LOST_PERIODS * self._heartbeat_s()
         seen = {agent: _seen(peer, self._agent in peer.received_by, new) for agent, peer in fact.peers.items()}
-        said = (fact.gcs, autopilot, radio, tuple(sorted(seen.items())))
+        # An agent that was started again has no views: it must not lead beside the leader until the next ones are due.
+        restarts = sum(peer.restarts for peer in fact.peers.values())
+        said = (fact.gcs, autopilot, radio, tuple(sorted(seen.items())), restarts)
         heartbeat_s = self._heartbeat_s()
         since_s = now - self._view_at
         if said == self._viewed:

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
-from phm.swarm.peers import Peers
+from phm.swarm.peers import LOST_PERIODS, Peer, Peers
 from phm.wire.tunnel import PeerState, PeerView
 
 THERE = frozenset((PeerState.ALIVE, PeerState.LATE))
@@ -149,7 +149,7 @@ def _status(agent: int, how: PeerState, views: Mapping[int, PeerView], gcs: bool
     if not received:
         not_receiving += never
     words = (tuple(sorted(received)), tuple(sorted(not_receiving)), gcs, peer.word)
-    if peer.leaving and how is PeerState.LOST:
+    if peer.leaving and how is PeerState.LOST and not _is_back(peer, received, peers):
         return MemberStatus(MemberState.LEFT, *words)
     if not received:
         ever = how is not PeerState.NEVER or any(
@@ -161,6 +161,15 @@ def _status(agent: int, how: PeerState, views: Mapping[int, PeerView], gcs: bool
     if not_receiving:
         return MemberStatus(MemberState.PARTLY, *words)
     return MemberStatus(MemberState.LATE if how is PeerState.LATE else MemberState.ALIVE, *words)
+
+
+def _is_back(peer: Peer, observers: list[int], peers: Peers) -> bool:
+    """Whether one of those that receive it does so since its shutdown: without its POWEROFF, they have lost it only after
+    LOST_PERIODS."""
+    assert peer.received_s is not None
+    ended_s = peer.received_s + (LOST_PERIODS + 1.0) * peer.period_s
+    found = [peers.peer(agent) for agent in observers]
+    return any(one is not None and one.view_s is not None and one.view_s > ended_s for one in found)
 
 
 def _together(lost: list[int], peers: Peers) -> tuple[int, ...]:

@@ -28,6 +28,8 @@ STALL_PERIODS = 0.5
 LEARN = 0.3
 """Weight of the newest gap in the estimate of a peer's period."""
 MAX_PERIOD_S = 60.0
+EQUAL = 0.2
+"""Two gaps are equal if they differ by at most this share: those of one period are, two outages seldom."""
 VIEW_LATE_PERIODS = 45.0
 """A view is too old to vote when its sender has sent none for this many periods. Views come when something changes, twice,
 and every 20 heartbeats; while its sender is alive and sends no other one, its view remains valid."""
@@ -47,11 +49,17 @@ class Peer:
     word: int = 0
     leaving: bool = False
     """It sent POWEROFF: the silence that follows is planned."""
+    booting: bool = False
+    """Its first report is not complete."""
+    restarts: int = 0
+    """How often it began to boot since it was first received."""
     view: PeerView | None = None
     view_s: float | None = None
     timed_link: str = ""
     timed_s: float | None = None
     """The link by which its period is learned, and when a heartbeat came by it last."""
+    long_gap_s: float = 0.0
+    """The gap before its last heartbeat, if that was as long as a loss."""
     clashes: deque[float] = field(default_factory=lambda: deque(maxlen=CLASHES))
     """When a frame showed a second sender with the same id."""
     stats: HeartbeatStats = field(init=False)
@@ -88,6 +96,19 @@ class Peer:
         if timed or self.timed_s is None or now - self.timed_s > LATE_PERIODS * self.period_s:
             self.timed_link, self.timed_s = link, now
         return gap_s
+
+    def is_period(self, gap_s: float, state: PeerState) -> bool:
+        """Whether its period may be learned from this gap, before which it was in this state. The first one as long as a loss is an
+        outage; a second, equal one in sequence is another period, of a larger swarm.
+        """
+        known = state in (PeerState.ALIVE, PeerState.LATE)
+        if gap_s <= LOST_PERIODS * self.period_s:
+            if gap_s > self.period_s / 2:  # a shorter one is an additional heartbeat, or came by another way
+                self.long_gap_s = 0.0
+            return known or not self.leaving
+        equal = abs(gap_s - self.long_gap_s) <= EQUAL * gap_s
+        self.long_gap_s = gap_s
+        return known or (equal and not self.leaving and gap_s <= (1.0 + EQUAL) * MAX_PERIOD_S)
 
     def state(self, now: float) -> PeerState:
         if self.received_s is None:
@@ -143,11 +164,20 @@ class Peers:
                 self._peers[agent] = peer
 
     def heartbeat(
-        self, agent: int, word: int, now: float, *, leaving: bool = False, frame: int | None = None, link: str = ""
+        self,
+        agent: int,
+        word: int,
+        now: float,
+        *,
+        leaving: bool = False,
+        booting: bool = False,
+        frame: int | None = None,
+        link: str = "",
     ) -> bool:
         """Take a heartbeat of another agent's PHM. True when its state or its content changed.
 
-        frame: the sequence number of its MAVLink frame, which counts all that this sender sends on the link.
+        leaving, booting: its state is POWEROFF, or BOOT. frame: the sequence number of its MAVLink frame, which counts all that this
+        sender sends on the link.
         """
         if agent == self.own or self._is_unlisted(agent, now):
             return False
@@ -156,16 +186,15 @@ class Peers:
             peer.count(frame, word, link, now)
         before = (peer.state(now), peer.word, peer.leaving)
         gap_s = peer.time_heartbeat(link, now)
-        if gap_s is not None and (
-            before[0] in (PeerState.ALIVE, PeerState.LATE)
-            or (gap_s <= LOST_PERIODS * peer.period_s and not peer.leaving)
-        ):
+        if gap_s is not None and peer.is_period(gap_s, before[0]):
             gap_s = min(gap_s, MAX_PERIOD_S)
             # Two heartbeats in one moment come from an answer to a ground station, and are not a period.
             if gap_s > 0.2 * peer.period_s:
                 peer.period_s += LEARN * (gap_s - peer.period_s)
                 peer.stats.add_gap(gap_s)
         self._fade(peer, now)
+        peer.restarts += booting and not peer.booting and peer.received_s is not None
+        peer.booting = booting
         peer.received_s, peer.word, peer.leaving = now, word, leaving
         peer.lost_together = peer.lost_alone = False
         return before != (peer.state(now), word, leaving)

@@ -12,12 +12,13 @@ from phm.core.backoff import Backoff
 from phm.core.clock import Clock
 from phm.core.settings import EndpointSettings
 from phm.facts import LinkFact
+from phm.transport.dialect import mavlink
 from phm.transport.mavlink_channels import Channel
 from phm.transport.mavlink_codec import Codec
 from phm.transport.mavlink_connection import ChannelOpener
 from phm.transport.mavlink_traffic import Traffic
 from phm.transport.priority import MessageCount, MessagePriority
-from phm.transport.send_queue import SendQueue
+from phm.transport.send_queue import HEARTBEAT, SendQueue
 from phm.transport.serial_errors import SerialErrorCount
 
 logger = logging.getLogger(__name__)
@@ -31,6 +32,8 @@ SILENT_S = 10.0
 """The name of a peer is resolved again after this silence."""
 IDLE_S = 0.5
 FAREWELL_S = 0.3
+REPEATS, REPEAT_S = 2, 0.1
+"""How often a HEARTBEAT with POWEROFF is repeated within FAREWELL_S, and after what time."""
 REOPEN_POLL_S = 0.05
 
 
@@ -68,6 +71,7 @@ class Endpoint:
         self._opened = 0
         self._received = self._polled = 0.0
         self._read_at: float | None = None
+        self._last_heartbeat: Any = None
         self._thread = threading.Thread(target=self._loop, name=f"phm-mavlink-{self.name}"[:60], daemon=True)
 
     def start(self) -> None:
@@ -190,12 +194,23 @@ class Endpoint:
                     self._received = self._clock.mono()
                     if self._opener.moved():
                         return
-            end = self._clock.mono() + FAREWELL_S
-            while (self._queue or not channel.ready) and self._clock.mono() < end:
-                self._turn(channel, 0.02)
+            self._farewell(channel)
         finally:
             self._read_at = None
             channel.close()
+
+    def _farewell(self, channel: Channel) -> None:
+        """Send what is queued, and repeat a POWEROFF: if its frame is lost, the other agents take this one for lost."""
+        began, repeats = self._clock.mono(), 0
+        while (passed_s := self._clock.mono() - began) < FAREWELL_S:
+            beat = self._last_heartbeat
+            again = beat is not None and beat.system_status == mavlink.MAV_STATE_POWEROFF and repeats < REPEATS
+            if again and passed_s >= (repeats + 1) * REPEAT_S:
+                self._queue.put(beat, self.codec.size(beat))
+                repeats += 1
+            elif channel.ready and not (again or self._queue):
+                return
+            self._turn(channel, 0.02)
 
     def _turn(self, channel: Channel, timeout_s: float) -> None:
         """Wait until there is something to do, and do it."""
@@ -230,6 +245,8 @@ class Endpoint:
             except OSError:
                 self._queue.give_back(item)
                 raise
+            if item.message.get_msgId() == HEARTBEAT:
+                self._last_heartbeat = item.message
             if taken:
                 self.codec.counters.sent += 1
                 self.codec.counters.bytes_out += taken * len(frame)

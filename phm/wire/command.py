@@ -222,6 +222,11 @@ def describe(request: Request) -> str:
             return f"release container {place}"
 
 
+def requested_key(message: int) -> str:
+    """The key with which a requested message waits for a link: a newer one with this key replaces it."""
+    return f"requested {message}"
+
+
 def fault_number(fault_id: str) -> int | None:
     """The number in a fault's id, None when it has none."""
     digits = fault_id.rpartition("-")[2]

@@ -84,6 +84,22 @@ def test_an_agent_that_cannot_have_been_received_yet_is_not_known(
     assert (results["peers/A03"].level, results[SWARM].level) == (level, Level.OK)
 
 
+@pytest.mark.parametrize(
+    ("peer", "level"),
+    [
+        (PeerFact("partly reachable", None, (2,), (1,)), Level.STALE),
+        (PeerFact("lost", None, (2,), (1, 3)), Level.STALE),
+        (PeerFact("partly reachable", None, (2, 3), (1, 4)), Level.WARN),
+        (PeerFact("lost", None, (2,), (1, 3, 4)), Level.ERROR),
+        (PeerFact("lost", None, (), (1, 2)), Level.ERROR),
+        (PeerFact("lost", 60.0, (2,), (1, 3)), Level.ERROR),
+    ],
+)
+def test_an_agent_has_no_vote_on_those_it_has_not_received_since_its_start(peer: PeerFact, level: Level) -> None:
+    """What the others report without it counts, and what it has received and lost."""
+    assert evaluate({60: peer}, (60,), up_s=60.0, heartbeat_s=40.0)["peers/A60"].level is level
+
+
 def test_a_split_is_one_fault_and_the_cause_of_the_single_losses() -> None:
     """Each agent's unit needs `peers/swarm`, which names both parts."""
     check = Peers((2, 3, 4))
@@ -120,6 +136,14 @@ def test_losing_all_agents_is_a_fault_of_the_own_radio() -> None:
     """The condition is `all_peers_lost`, not one fault for each agent."""
     result = evaluate({2: LOST, 3: LOST, 4: LOST}, split=(2, 3, 4))[SWARM]
     assert (result.condition, result.brief) == ("all_peers_lost", "all peers lost")
+
+
+def test_agents_lost_one_after_the_other_were_not_lost_together() -> None:
+    """The last one is more likely to have failed than this agent's own link."""
+    result = evaluate({2: PeerFact("lost", 1200.0, (), (1,)), 3: PeerFact("lost", 12.0, (), (1,))})[SWARM]
+    assert (result.condition, result.brief) == ("all_peers_lost", "all peers lost")
+    assert "A03 for 12 s, A02 for 20 min: check the vehicle of A03 first" in result.summary
+    assert "together" not in result.summary
 
 
 @pytest.mark.parametrize("other", [PeerFact("never seen", None), PeerFact("left", 70.0)])

@@ -9,9 +9,11 @@ import pytest
 from phm.core.model import Level, Slot
 from phm.gcs.agent import MAX_BAD
 from phm.gcs.events import encode
-from phm.gcs.frames import Heartbeat, TunnelPayload
+from phm.gcs.frames import Heartbeat, TunnelPayload, parse
+from phm.transport.dialect import mavlink
 from phm.wire import tunnel
 from phm.wire.tunnel import PeerState, PeerView
+from tests.fakes.mavlink import Sender
 from tests.gcs.bench import EMERGENCY, HEALTHY, Ground, autopilot, events, phm_heartbeat, text_frame, tunnel_frame
 
 
@@ -296,6 +298,19 @@ def test_memory_is_bounded(ground: Ground) -> None:
     assert len(ground.agent(7)["bad"]) == 15 * MAX_BAD
     assert len(held.details) == 4
     assert len(ground.snapshot()["stations"]) == 16
+
+
+@pytest.mark.parametrize(("to", "replies"), [((0, 0), 1), ((254, 190), 1), ((253, 190), 0), ((254, 191), 0)])
+def test_a_reply_to_another_ground_station_is_ignored(ground: Ground, to: tuple[int, int], replies: int) -> None:
+    """It would be the answer to a request of this one. The details of a fault are the same for all."""
+    ground.receive(phm_heartbeat(7))
+    for about, count in (("reply", replies), ("ab12-17", 1)):
+        (payload,) = [tunnel.encode(part) for part in tunnel.details(about, "restarted")]
+        data = list(payload.ljust(tunnel.MAX_BYTES, b"\0"))
+        message = mavlink.MAVLink_tunnel_message(*to, tunnel.PAYLOAD_TYPE, len(payload), data)
+        frame = parse(Sender(7, 193).received(message))
+        assert frame is not None
+        assert len(events(ground.receive(frame), "detail")) == count
 
 
 def test_unknown_senders_and_types_of_tunnels_are_ignored(ground: Ground) -> None:

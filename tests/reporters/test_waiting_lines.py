@@ -8,10 +8,13 @@ from typing import Any
 
 import pytest
 
+from phm.commands import responses
 from phm.core.model import ON_HOLD, ActionEvent, Level, Phase, Result, Transition
 from phm.testing import FakeClock
 from phm.transport.mavlink_codec import Codec
+from phm.transport.priority import MessagePriority
 from phm.transport.send_queue import SendQueue
+from phm.wire.command import STATUSTEXT, requested_key
 from tests.fakes.mavlink import FakePort
 from tests.reporters.test_mavlink import Scene
 
@@ -148,6 +151,17 @@ def test_a_refresh_that_waits_says_what_is_true_when_it_leaves(scene: Scene) -> 
     """The failure leaves before it, and a refresh from before would say that all is OK. None is sent where none waits."""
     scene.pass_time(600.5)
     assert left(scene, 1, least=6) == ["A01 OK -1---1--"]
+    scene.become("nodes/a", Level.ERROR, "a dead")
+    assert left(scene, 0, least=6) == [FAIL, "A01 FAIL -1---0-- 6 a dead"]
+    assert left(scene, 1, least=6) == [FAIL]
+
+
+def test_a_requested_line_that_waits_says_what_is_true_when_it_leaves(scene: Scene) -> None:
+    """It leaves after the failure, too."""
+    assert isinstance(scene.port, Links)
+    healthy = responses.status(STATUSTEXT, 1, tuple(scene.units.values()), complete=True, mono=0.0, utc=0.0)
+    assert healthy.text == "A01 OK -1---1--"
+    scene.port.links_[0].put(healthy, MessagePriority.REQUEST, requested_key(STATUSTEXT), 1)
     scene.become("nodes/a", Level.ERROR, "a dead")
     assert left(scene, 0, least=6) == [FAIL, "A01 FAIL -1---0-- 6 a dead"]
     assert left(scene, 1, least=6) == [FAIL]

@@ -10,7 +10,7 @@ from phm.core.model import Level
 from phm.transport.dialect import mavlink
 from phm.transport.priority import RADIO_BYTES_S, SWARM_BYTES_S
 from phm.wire import tunnel
-from sitl.simulation.fleet import Fleet
+from sitl.simulation.fleet import Agent, Fleet
 from tests.fakes.mavlink import Sender, heartbeat
 
 
@@ -105,6 +105,32 @@ def test_stations_that_appear_all_the_time_do_not_fill_the_leaders_link() -> Non
         fleet.run(1)
     assert fleet.agents[1].port.sent_keys["swarm line"] - before < 70
     assert set(fleet.lines(5)) == {"A03 no GCS radio, received by A01 A02 A04: OK"}
+
+
+def test_a_ground_station_that_appears_is_not_a_failure_of_others() -> None:
+    """Each agent knows that it receives the station before it knows that of the others. A lost radio is reported then."""
+    fleet = Fleet(8)
+    fleet.no_gcs = set(fleet.agents)
+    fleet.run(60)
+    fleet.no_gcs = {3}
+    fleet.run(30)
+    sent = [(agent, text.partition(",")[0]) for agent, severity, text in fleet.ground if severity <= 4]
+    assert sent == [(1, "A03 no GCS radio")]
+    assert {agent for agent, _, text in fleet.ground if text.startswith("SWARM")} == {1}
+    assert {agent.probe.snapshot().leader for agent in fleet.agents.values()} == {1}
+
+
+def test_a_started_agent_has_not_lost_the_ground() -> None:
+    """It receives its peers before the ground station's first heartbeat."""
+    fleet = Fleet(8)
+    fleet.run(60)
+    fleet.lines()
+    fleet.agents[5] = Agent(5, fleet.clock, list(fleet.agents), 158.0)
+    fleet.no_gcs = {5}
+    fleet.run(2.5)
+    fleet.no_gcs = set()
+    fleet.run(10)
+    assert fleet.lines(4) == []
 
 
 def test_an_agent_at_the_edge_of_radio_range_is_not_reported_each_time() -> None:

@@ -25,6 +25,29 @@ def test_a_restarted_agent_causes_no_warning_about_others() -> None:
     assert blamed == set()
 
 
+def test_a_restarted_agent_does_not_lead_beside_the_leader() -> None:
+    """The others send it their views as soon as its heartbeat says BOOT."""
+    fleet = Fleet(8)
+    fleet.run(60)
+    agent = fleet.agents[5] = Agent(5, fleet.clock, list(fleet.agents), 158.0)
+    agent.reporters[0]._refresh_at = None  # type: ignore[union-attr]  # its first report is not complete
+    leaders = []
+    for _ in range(60):
+        fleet.run(1)
+        leaders.append(agent.probe.snapshot().leader)
+    assert set(leaders) == {None, 1}
+    assert leaders.index(1) < 10
+
+
+def test_an_agent_leads_if_those_with_lower_ids_send_no_views() -> None:
+    """It waits for them only after its start."""
+    fleet = Fleet(3)
+    fleet.agents[1].reporters = fleet.agents[1].reporters[:1]  # type: ignore[assignment]
+    fleet.down = {2}
+    fleet.run(60)
+    assert fleet.agents[3].probe.snapshot().leader == 3
+
+
 def test_an_agent_that_was_started_now_has_no_vote_on_those_it_has_not_received_yet() -> None:
     """It has lost none; nor does it hide that an agent is lost, or was never there."""
     swarm = Swarm(range(1, 6))
