@@ -282,11 +282,10 @@ def _unverified(record: UnitRecord, context: RuleContext) -> bool:
 
 
 def _all_back(record: UnitRecord, view: TrackerView) -> bool:
-    """Whether all dependents in its target have been found OK since the verification of its recovery failed."""
-    below = (other for other in view.downstream(record.id) if other.target == record.target and not _known(other))
+    """Whether all dependents that wait for its recovery have been found OK since the verification of that failed."""
     return all(
         other.latest is not None and other.latest.level is Level.OK and other.started >= record.unverified_from
-        for other in below
+        for other in view.waiting_for(record.id)
     )
 
 

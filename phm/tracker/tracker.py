@@ -87,15 +87,8 @@ class Tracker:
         return any(self._units[name].failing and self._units[name].started >= mono for name in self._below(record))
 
     def _below(self, record: UnitRecord) -> list[str]:
-        """Dependents of the same target without a separate fault, and that need none of those that have one. Not its pressure unit:
-        a recovery cannot end that."""
-        below = [other for other in self._view.downstream(record.id) if other.target == record.target]
-        apart = {other.id for other in below if other.fault is not None or other.published_given_up}
-        return [
-            other.id
-            for other in below
-            if apart.isdisjoint((other.id, *self.graph.upstream(other.id))) and not other.id.startswith(PRESSURE)
-        ]
+        """See `TrackerView.waiting_for`. Without its pressure unit: a recovery cannot end that."""
+        return [other.id for other in self._view.waiting_for(record.id) if not other.id.startswith(PRESSURE)]
 
     def failing_dependents(self, unit: str, mono: float) -> tuple[str, ...]:
         """Dependents of `unit` in the same target that no run since `mono` has found free of ERROR.

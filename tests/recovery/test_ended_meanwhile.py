@@ -81,3 +81,36 @@ def test_a_container_that_starts_without_its_network_is_reconnected_and_not_rest
     assert not agent.pipeline.open_faults()
     agent.stop()
     agent.clock.advance(1000)
+
+
+def test_a_start_is_not_followed_by_a_restart_because_another_container_is_down() -> None:
+    """A topic of the started container also needs the other one, on which PHM may not act: no restart brings the topic back."""
+    units = {
+        "container/a": Of("a"),
+        "container/b": Of("b"),
+        "nodes/a": Of("a", ("container/a",)),
+        "topics/a": Of("a", ("nodes/a", "container/b")),
+    }
+    ladders = {"exited": ["start", "restart"]}
+    agent = Agent(
+        units, Containers("a", "b"), FakeClock(), opted_in=("a",), actions=("start", "restart"), ladders=ladders
+    )
+
+    def act(key: str, context: ActionContext, fault: Fault) -> None:
+        agent.containers.start(key)
+        agent.pipeline.container_started(key)
+        del agent.bad["container/a"], agent.found["nodes/a"]
+
+    agent.behave = act
+    agent.rest(3.0)
+    agent.containers.end("b")
+    agent.bad |= {"container/b": "exited", "topics/a": "subscriber_missing"}
+    agent.rest(3.0)
+    agent.containers.end("a")
+    agent.bad["container/a"], agent.found["nodes/a"] = "exited", stale("not running")
+    agent.rest(40.0)
+    assert agent.acted() == ["start"]
+    assert agent.opened() == ["container/b", "container/a"]
+    assert [event.fault.unit for event in agent.closed()] == ["container/a"]
+    agent.stop()
+    agent.clock.advance(1000)
