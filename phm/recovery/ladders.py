@@ -57,7 +57,9 @@ is tried for as long as the container is down: a part of the budget is reserved 
 has given up, it is tried once per `recovery.backoff_max`."""
 GENTLE = frozenset({"relieve"})
 """Actions that disturb no container: limited by back-off only, they use up no budget."""
-OUTSIDE = frozenset({"network_missing"})
+APART = "sidecar_disconnected"
+"""Condition of a network that PHM itself is not on."""
+OUTSIDE = frozenset({"network_missing", APART})
 """Conditions that come from outside of every container: no action on a container causes them."""
 AGAIN_WHILE_IT_LASTS = frozenset({"disconnected"})
 """Conditions that only the first step of the ladder can end: a restart does not connect a network. The next step follows only if

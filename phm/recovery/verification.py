@@ -12,7 +12,7 @@ from phm.core import threads
 from phm.core.model import Fault, Level, Result
 from phm.facts import CannotTell
 from phm.recovery.base import Action, ActionContext, Target
-from phm.recovery.ladders import AGAIN_WHILE_IT_LASTS, DOWN, OUTSIDE
+from phm.recovery.ladders import AGAIN_WHILE_IT_LASTS, APART, DOWN, OUTSIDE
 from phm.recovery.ownership import Generation, Shared, StartedBy
 from phm.tracker.starvation import explanation
 
@@ -115,7 +115,9 @@ class Verification:
             starved = self.starved and not self._is_not_slow(checks, name)
             newest = checks.newest(name, self.done + self._still_bad_s(name) + (more_s if starved else 0.0))
             if newest is not None and newest.level is Level.ERROR:
-                return VerificationResult(missing=name, not_counted=newest.condition in OUTSIDE or starved)
+                # That PHM is not on the network counts against the action that is to end it: else PHM would never give up.
+                outside = newest.condition in OUTSIDE and (name, newest.condition) != (self.unit, APART)
+                return VerificationResult(missing=name, not_counted=outside or starved)
         decides_s = self.decides_s(checks)
         if now - self.done <= self.verify_s + decides_s + more_s:
             return None

@@ -27,7 +27,7 @@ ENGINE, CONTAINER = "engine", "container/"
 DETACHED, RECONNECTS = "disconnected", "reconnect"
 """The condition of a container that is not on its network, known from the Docker Engine if the evidence is conclusive,
 and the action that takes a container off its networks for a moment."""
-FROM_OUTSIDE = frozenset({"network_missing", "device_missing"})
+FROM_OUTSIDE = frozenset({"network_missing", "device_missing", "sidecar_disconnected"})
 """Conditions that come from outside of every container: no action on one causes them, except that a program may reset its device when it
 starts, which is a fault at any start."""
 LEAVE_RUNNING = frozenset({RECONNECTS, "join_network"})

@@ -181,6 +181,7 @@ class Agent:
             name = of
             starts = of in ("start", "restart")
             deadline_s = 100.0
+            on_phm_itself = of == "join_network"
 
             def waits_for(self, target: Target, fault: Fault, context: ActionContext) -> str:
                 return agent.missing if fault.unit not in agent.not_missing else ""
