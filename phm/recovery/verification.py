@@ -106,6 +106,11 @@ class Verification:
         newest = checks.newest(self.unit, self.done)
         return (newest.decides_s or 0.0) if newest is not None and newest.level is Level.STALE else 0.0
 
+    def unknown(self, checks: CheckResults) -> bool:
+        """Whether the newest run since the action could not tell how the unit is."""
+        newest = checks.newest(self.unit, self.done)
+        return newest is not None and newest.level is Level.STALE
+
     def _of_the_unit(self, checks: CheckResults, now: float, more_s: float) -> VerificationResult | None:
         # While the wait lasts, nothing else is done to the container: not if it has ended meanwhile, either.
         above = ((name, checks.newest(name, self.done)) for name in checks.dependencies(self.unit))
@@ -179,11 +184,14 @@ class VerificationHooks:
     undecided: called once when `recovery.verify` is over and only time can show whether the unit is OK: from then on the
                other units of the container are evaluated separately.
     wanted:    whether another fault of the container calls for an action; asked only after that.
+    first:     whether another fault calls for an action on PHM itself, e.g. to join the network; asked while the unit is unknown:
+               it may stay so until then.
     """
 
     stopping: Callable[[], bool]
     undecided: Callable[[], None] = lambda: None
     wanted: Callable[[], bool] = lambda: False
+    first: Callable[[], bool] = lambda: False
 
 
 class Verifier:
@@ -225,7 +233,7 @@ class Verifier:
             ):
                 undecided = True
                 hooks.undecided()
-            if rerun and undecided and hooks.wanted():
+            if rerun and ((undecided and hooks.wanted()) or (verification.unknown(self._pipeline) and hooks.first())):
                 return VerificationResult(missing=fault.unit, undecided=True)
             if rerun:
                 self._pipeline.recheck(fault.unit, *verification.waiting)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 from functools import partial
 
@@ -266,11 +266,23 @@ class TargetWorker:
 
     def _another_calls(self, case: FaultCase) -> bool:
         """Whether another fault of the target calls for an action."""
-        return any(
-            isinstance(self._decide(other.fault, approved=other.approval is not None), Act)
-            for other in self._current()
-            if other.fault.id != case.fault.id and not other.refused and self._changes.unconfirmed_since(other) is None
+        return any(True for _ in self._other_acts(case))
+
+    def _phm_first(self, case: FaultCase, act: Act) -> bool:
+        """Whether another fault, confirmed by its newest run, calls for an action on PHM itself, and `act` is not one."""
+        return act.action not in self._catalog.unrestricted and any(
+            other.action in self._catalog.unrestricted and self._pipeline.bad_since(unit, ANY_TIME)
+            for unit, other in self._other_acts(case)
         )
+
+    def _other_acts(self, case: FaultCase) -> Iterator[tuple[str, Act]]:
+        """The actions for which other faults of the target call, with their units."""
+        for other in self._current():
+            if other.fault.id == case.fault.id or other.refused or self._changes.unconfirmed_since(other) is not None:
+                continue
+            decision = self._decide(other.fault, approved=other.approval is not None)
+            if isinstance(decision, Act):
+                yield other.fault.unit, decision
 
     def _wait_for_confirmation(self, unit: str, recheck_from: float) -> float:
         now = self._clock.mono()
@@ -416,12 +428,16 @@ class TargetWorker:
             publish(phase, detail)
 
         try:
-            outcome = attempt.run(report, lambda: self._stopping, lambda: self._another_calls(case))
+            outcome = attempt.run(
+                report, lambda: self._stopping, lambda: self._another_calls(case), lambda: self._phm_first(case, act)
+            )
             if self._stopping and not outcome.worked:
                 return 0  # interrupted by the end of PHM: the state file still says that it is under way
             worked = outcome.worked or outcome.undecided
             case.refused = outcome.refused
-            self._changes.attempted(self._current(), case, before, superseded=outcome.superseded)
+            self._changes.attempted(
+                self._current(), case, before, superseded=outcome.superseded, undecided=outcome.undecided
+            )
             took_s = self._clock.mono() - record.at
             done = replace(
                 record, worked=outcome.worked, not_counted=outcome.not_counted, partly=outcome.partly, took_s=took_s

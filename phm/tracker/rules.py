@@ -341,17 +341,24 @@ def _acted_on(context: RuleContext) -> bool:
 def _possible_causes(context: RuleContext) -> list[UnitRecord]:
     """The dependencies that can explain the result.
 
-    A network does not explain that a process has ended or is stopped. An engine that does not respond explains what is unknown, but
-    neither a container that is known to be down without it or since before, nor what depends on that one.
+    A network does not explain that a process has ended or is stopped, nor that it is unknown whether such a fault is over. An engine
+    that does not respond explains what is unknown, but neither a container that is known to be down without it or since before, nor
+    what depends on that one.
     """
-    evidence, upstream = context.result.evidence, context.view.upstream(context.record.id)
-    ended = evidence.certain or (evidence.conclusive and context.result.condition == ENDED)
+    fault, upstream = context.record.fault, context.view.upstream(context.record.id)
+    reported = fault is not None and not context.result.level.bad and _has_ended(fault.result)
+    ended = reported or _has_ended(context.result)
     down = any(_known_down(other) for other in (context.record, *upstream))
     return [
         other
         for other in upstream
         if not (ended and other.id.startswith(NETWORK)) and not (down and other.id == ENGINE)
     ]
+
+
+def _has_ended(result: Result) -> bool:
+    """Whether it states that a process has ended or is stopped, by evidence from the Docker Engine."""
+    return result.evidence.certain or (result.evidence.conclusive and result.condition == ENDED)
 
 
 def _known_down(record: UnitRecord) -> bool:

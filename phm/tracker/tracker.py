@@ -22,6 +22,8 @@ SETTLING_RERUN_S = 0.15
 """A unit with `settle_s` runs again this often: new evidence may end the wait early (`Result.settle_s`)."""
 UNVERIFIED_S = 30.0
 """How long a unit that is OK again stays ERROR because its dependents have not come back: time for the next action."""
+JOINS = "join_network"
+"""The action that connects PHM itself to a network: it ends no other fault of the container."""
 PRESSURE = "pressure/"
 """Prefix of the units that report the resource pressure of a container."""
 
@@ -234,7 +236,8 @@ class Tracker:
         for record in self._units.values():
             # The restart of a dependent is part of the action on the owner's target, which gets the credit.
             part = record.target != target and record.target in self._actions
-            if record.fault is not None and (record.target == target or (record.id == owner and not part)):
+            concerned = record.target == target and action != JOINS
+            if record.fault is not None and (concerned or (record.id == owner and not part)):
                 record.fault = replace(record.fault, by=action)
         return Effects()
 
