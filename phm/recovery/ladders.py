@@ -57,6 +57,9 @@ is tried for as long as the container is down: a part of the budget is reserved 
 has given up, it is tried once per `recovery.backoff_max`."""
 GENTLE = frozenset({"relieve"})
 """Actions that disturb no container: limited by back-off only, they use up no budget."""
+RESTORE = "restore_file"
+START_NOTHING = frozenset({RESTORE, "relaunch", "unpause"})
+"""Actions on a container that do not start it: the pause between two starts is not counted from them."""
 APART = "sidecar_disconnected"
 """Condition of a network that PHM itself is not on."""
 OUTSIDE = frozenset({"network_missing", APART})

@@ -27,6 +27,7 @@ from phm.recovery.fault_cases import (
     PersistedCase,
     UnfinishedAction,
 )
+from phm.recovery.ladders import DOWN, RESTORE
 from phm.recovery.operator.approval import NotApprovable
 from phm.recovery.operator.requests import RESTART, OperatorRequests
 from phm.recovery.ownership import Shared
@@ -197,13 +198,30 @@ class TargetWorker:
             waits.append(MISSING_S)
         if self._requests is not None and self._requests.pending:
             waits.append(self._restart_manually(self._requests))
-        for case in cases:
+        for case in self._in_order(cases):
             if 0 in waits:
                 return 0
             waits += self._check_approval(case)
             if not case.refused:
                 waits += self._handle(case)
         return 0 if 0 in waits else self._keep_starting(waits)
+
+    def _in_order(self, cases: list[FaultCase]) -> list[FaultCase]:
+        """Most upstream first. Before that what takes nothing down: an action on PHM itself, and, once an attempt to bring back a container
+        that is down has not helped, the restoring of a file that it may need. The first start is never delayed.
+        """
+        if len(cases) < 2:
+            return cases
+        first, tried = set(self._catalog.unrestricted), self._history.attempts
+        down = [case.fault for case in cases if case.fault.result.condition in (*DOWN, PAUSED)]
+        if all(any(made.unit == fault.unit and made.at >= fault.opened.mono for made in tried) for fault in down):
+            first.add(RESTORE)
+
+        def follows(case: FaultCase) -> bool:
+            decision = self._decide(case.fault, approved=case.approval is not None)
+            return not (isinstance(decision, Act) and decision.action in first)
+
+        return sorted(cases, key=follows)
 
     def _handle(self, case: FaultCase) -> list[float]:
         """Act on one fault or wait. Returns the seconds until it must be decided again; empty: only an event can change it."""
