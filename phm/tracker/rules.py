@@ -32,6 +32,8 @@ FROM_OUTSIDE = frozenset({"network_missing", "device_missing", "sidecar_disconne
 starts, which is a fault at any start."""
 LEAVE_RUNNING = frozenset({RECONNECTS, "join_network"})
 """Actions that end no process of the target, unless `reconnect` restarts it afterwards: then its stop is reported first."""
+ONE_PART = frozenset({"relaunch", "restore_file"})
+"""Actions on one node or on files: they end no process of another node."""
 GRACE_ENDS_AFTER_OK_S = 2.5
 """Grace ends early once a unit has been OK for this long. Shorter could be a remnant of the previous run (a killed node stays
 listed until its lease ends, 1 s with the profile in config/fastdds.xml)."""
@@ -97,7 +99,8 @@ def action_in_progress(context: RuleContext) -> Decision | None:
 
     The unit is STALE `blocked_by` the fault being recovered; a unit with an open fault stays unchanged. Except that the Docker
     Engine no longer lists the running container on its network: of the actions only RECONNECTS does that. And except what was certain
-    before one of LEAVE_RUNNING began, and what comes FROM_OUTSIDE. An action without a fault was requested: its unit is STALE.
+    before one of LEAVE_RUNNING began, what is certain about another part than that of an action on ONE_PART, and what comes
+    FROM_OUTSIDE. An action without a fault was requested: its unit is STALE.
     """
     record, action = context.record, context.view.actions.get(context.record.target)
     if action is None or not context.result.level.bad:
@@ -110,7 +113,7 @@ def action_in_progress(context: RuleContext) -> Decision | None:
         summary = f"{record.target} is being restarted on request: {context.result.summary}"
         return Decision(replace(context.result, level=Level.STALE, summary=summary, brief="", condition=""))
     separate = context.result.condition in FROM_OUTSIDE or certain_before(record, action)
-    return None if separate else _blocked(context, action.owner)
+    return None if separate or _of_another_part(context, action) else _blocked(context, action.owner)
 
 
 def on_hold(context: RuleContext) -> Decision | None:
@@ -269,6 +272,14 @@ def certain_before(record: UnitRecord, action: ActionInProgress) -> bool:
     """Whether the unit has been bad with certainty, in this run of its target, since before an action that leaves that running."""
     since = record.certain_since
     return action.action in LEAVE_RUNNING and since is not None and record.valid_from <= since < action.begun
+
+
+def _of_another_part(context: RuleContext, action: ActionInProgress) -> bool:
+    """Whether the unit is bad with certainty, in this run of its target, while one of ONE_PART is done to another part of that."""
+    record = context.record
+    since, node = record.certain_since, record.spec.unit.node
+    same = bool(node) and node == context.view.units[action.owner].spec.unit.node
+    return action.action in ONE_PART and not same and since is not None and since >= record.valid_from
 
 
 def _unverified(record: UnitRecord, context: RuleContext) -> bool:
