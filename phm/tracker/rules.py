@@ -22,6 +22,8 @@ NETWORK, ENDED = "network/", "node_missing"
 """Units of networks, and the condition of a node that has ended: with conclusive evidence it is known from the Docker
 Engine, and no consequence of a network. So is a result with certain evidence. Other conclusive results may be one, of a node that runs:
 its source may be on that network."""
+STOPPED = "node_hung"
+"""The condition of a node whose process is stopped, if that is certain."""
 ENGINE, CONTAINER = "engine", "container/"
 """The unit of the Docker Engine, and units of containers."""
 DETACHED, RECONNECTS = "disconnected", "reconnect"
@@ -269,9 +271,12 @@ def in_grace(record: UnitRecord, now: float) -> bool:
 
 
 def certain_before(record: UnitRecord, action: ActionInProgress) -> bool:
-    """Whether the unit has been bad with certainty, in this run of its target, since before an action that leaves that running."""
+    """Whether the unit has been bad with certainty, in this run of its target, since before an action that leaves that running. Or since
+    later, if a process is stopped: no action stops one by a signal without ending it."""
     since = record.certain_since
-    return action.action in LEAVE_RUNNING and since is not None and record.valid_from <= since < action.begun
+    if action.action not in LEAVE_RUNNING or since is None or since < record.valid_from:
+        return False
+    return since < action.begun or (record.latest is not None and record.latest.condition == STOPPED)
 
 
 def _of_another_part(context: RuleContext, action: ActionInProgress) -> bool:

@@ -167,3 +167,16 @@ def test_an_action_that_was_not_needed_is_not_credited_with_the_node() -> None:
     bench.look(OK, OK)
     bench.end()
     assert [by for _, _, by in bench.closed] == ["itself", "itself"]
+
+
+def test_a_process_that_is_stopped_does_not_follow_from_a_reconnection() -> None:
+    """It was found 0.3 s after that began. `reconnect` sends no such signal; while the container is being stopped, it does not count."""
+    seen = Evidence(certain=True, conclusive=True)
+    stopped = error("process stopped", brief="hung", condition="node_hung").with_evidence(seen)
+    bench = Lost()
+    bench.look(stopped)
+    assert bench.opened == ["network/app", "nodes/a"]
+    bench = Lost()
+    bench.take(bench.tracker.expect_stop("app", bench.stamp(), 10.0))
+    bench.look(stopped)
+    assert bench.opened == ["network/app"]
