@@ -16,7 +16,7 @@ from functools import partial
 from phm.core import threads
 from phm.core.model import Event, Fault, Level, Phase
 from phm.recovery.attempt import Attempt
-from phm.recovery.base import Target, TargetKind
+from phm.recovery.base import Target, TargetKind, ladder_of
 from phm.recovery.fault_cases import (
     ActionReporter,
     AttemptRecord,
@@ -207,21 +207,26 @@ class TargetWorker:
         return 0 if 0 in waits else self._keep_starting(waits)
 
     def _in_order(self, cases: list[FaultCase]) -> list[FaultCase]:
-        """Most upstream first. Before that what takes nothing down: an action on PHM itself, and, once an attempt to bring back a container
-        that is down has not helped, the restoring of a file that it may need. The first start is never delayed.
+        """Most upstream first. Before that what takes nothing down: an action on PHM itself, and the restoring of a file, which may be the
+        cause. But they do not delay the first attempt to bring back a container that is down or paused.
         """
-        if len(cases) < 2:
-            return cases
-        first, tried = set(self._catalog.unrestricted), self._history.attempts
         down = [case.fault for case in cases if case.fault.result.condition in (*DOWN, PAUSED)]
-        if all(any(made.unit == fault.unit and made.at >= fault.opened.mono for made in tried) for fault in down):
-            first.add(RESTORE)
+        tried = self._history.attempts
+        if not all(any(made.unit == fault.unit and made.at >= fault.opened.mono for made in tried) for fault in down):
+            return cases
+        first = {RESTORE, *self._catalog.unrestricted}
 
         def follows(case: FaultCase) -> bool:
+            if not self._may_call(case, first):
+                return True
             decision = self._decide(case.fault, approved=case.approval is not None)
             return not (isinstance(decision, Act) and decision.action in first)
 
         return sorted(cases, key=follows)
+
+    def _may_call(self, case: FaultCase, actions: Collection[str]) -> bool:
+        """Whether one of these is in its ladder: to decide may ask the engine, and this does not."""
+        return not set(ladder_of(case.fault.result.condition, self._rules.settings)).isdisjoint(actions)
 
     def _handle(self, case: FaultCase) -> list[float]:
         """Act on one fault or wait. Returns the seconds until it must be decided again; empty: only an event can change it."""
@@ -288,15 +293,18 @@ class TargetWorker:
 
     def _phm_first(self, case: FaultCase, act: Act) -> bool:
         """Whether another fault, confirmed by its newest run, calls for an action on PHM itself, and `act` is not one."""
-        return act.action not in self._catalog.unrestricted and any(
-            other.action in self._catalog.unrestricted and self._pipeline.bad_since(unit, ANY_TIME)
-            for unit, other in self._other_acts(case)
+        own = self._catalog.unrestricted
+        return act.action not in own and any(
+            other.action in own and self._pipeline.bad_since(unit, ANY_TIME)
+            for unit, other in self._other_acts(case, own)
         )
 
-    def _other_acts(self, case: FaultCase) -> Iterator[tuple[str, Act]]:
-        """The actions for which other faults of the target call, with their units."""
+    def _other_acts(self, case: FaultCase, among: frozenset[str] = frozenset()) -> Iterator[tuple[str, Act]]:
+        """The actions for which other faults of the target call, with their units. among: only faults with one of these in their ladder."""
         for other in self._current():
             if other.fault.id == case.fault.id or other.refused or self._changes.unconfirmed_since(other) is not None:
+                continue
+            if among and not self._may_call(other, among):
                 continue
             decision = self._decide(other.fault, approved=other.approval is not None)
             if isinstance(decision, Act):
