@@ -12,9 +12,9 @@ from dataclasses import replace
 from phm import api
 from phm.api import Layer, Level, Slot
 from phm_checks._lost_publishers import SETTLE_S as LOST_SETTLE_S, Connection, LostPublishers, connections
-from phm_checks._node_consensus import PHM, SILENT_PERIODS, Agreement, Opinion, Verdict, agree
+from phm_checks._node_consensus import PHM, Agreement, Opinion, Verdict, agree
 from phm_checks._quorum import SETTLE_S as QUORUM_SETTLE_S, DeadNodes, ReceivedBefore, ended, received_by_others
-from phm_checks._ros_facts import OLD_SNAPSHOT_S, full_name
+from phm_checks._ros_facts import OLD_SNAPSHOT_S, SILENT_PERIODS, full_name
 from phm_checks._text import brief, last, listed, span
 
 FORGET_S = 60.0

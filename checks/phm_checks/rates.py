@@ -10,6 +10,7 @@ from phm.api import Layer, Level, Slot
 from phm_checks._environment_advice import advice
 from phm_checks._limit_forecast import LimitForecast
 from phm_checks._node_activity import FRESH_S, ran_s, turned_s
+from phm_checks._quorum import ReceivedBefore
 from phm_checks._ros_facts import full_name, is_large
 from phm_checks._text import StableNumber, brief, clean, last, span
 from phm_checks._witnesses import WITNESSES, Arrivals, Causes, expected, independent
@@ -87,6 +88,7 @@ class Rates(api.Check):
         self._topics = tuple(topics)
         self._units = tuple(units)
         self._targets = {unit.id: unit.target for unit in units}
+        self._received = ReceivedBefore({topic.name: self._targets[_unit(topic)] for topic in topics})
         self._grace_s = grace_s
         self._memory = {
             topic.name: _Memory(widening=LimitForecast(trends.jitter, trends.confidence)) for topic in topics
@@ -125,6 +127,8 @@ class Rates(api.Check):
             fact = world.ros.snapshot()
         except api.CannotTell as reason:
             return {_unit(topic): api.stale(str(reason)) for topic in self._topics}
+        flowing = {name for name, seen in fact.topics.items() if _flows(seen)}
+        self._received.observe(world, (one.name for one in self._topics if full_name(one.name) in flowing))
         results = {}
         for topic in self._topics:
             seen = fact.topics.get(full_name(topic.name), api.TopicFact())
@@ -240,6 +244,15 @@ class Rates(api.Check):
                 f"({advice(world, case.target, _BLOCKS, data_only=True)}); a restart of the application does not help",
                 case,
             ).with_evidence(api.Evidence(patient=True))
+        if self._fell_silent(case, seen, fact):
+            return self._bad(
+                Level.ERROR,
+                "topic_silent",
+                "silent",
+                f"{case.name}: offline. It was received earlier in this run of its container, and not since PHM's ROS process was started "
+                f"{span(fact.up_s)} ago, expected {case.rate:g} Hz, while its node is received: its data source stopped; check that node's log",
+                case,
+            )
         return self._bad(
             Level.ERROR,
             "not_received",
@@ -248,6 +261,14 @@ class Rates(api.Check):
             f"not publish, or the transport is blocked ({_BLOCKS}){_lost(seen)}",
             case,
         )
+
+    def _fell_silent(self, case: _Case, seen: api.TopicFact, fact: api.RosFact) -> bool:
+        """Whether the topic was received in this run of its container by an earlier ROS process of PHM, and the present one, which has waited
+        long enough by itself, receives its nodes: then the transport works."""
+        waited = fact.up_s >= self._grace_s + 3 / case.rate
+        nodes = _nodes(seen)
+        arrive = bool(nodes) and all(_arrives(node, fact) for node in nodes)
+        return waited and arrive and self._received.never(case.topic.name) is False
 
     def _due(self, topic: api.TopicSettings, fact: api.RosFact) -> bool:
         """Whether PHM has listened long enough to have received a sample."""
@@ -404,6 +425,20 @@ def _lost(seen: api.TopicFact) -> str:
     size = None if seen.rate is None else seen.rate.sample_bytes
     large = any(end.type in _LARGE_TYPES for end in seen.publishers) if size is None else size > PACKET_BYTES
     return _LOST if large else ""
+
+
+def _flows(seen: api.TopicFact) -> bool:
+    """Whether its samples are received, and it is not silent."""
+    rate = seen.rate
+    return rate is not None and not rate.problem and rate.silent_s is not None and rate.hz != 0.0
+
+
+def _arrives(node: str, fact: api.RosFact) -> bool:
+    """Whether PHM's ROS process has received a beacon or a topic of the node, and no other node has received it since."""
+    if not node or fact.received_only_elsewhere(node):
+        return False
+    topics = (topic for topic in fact.topics.values() if _nodes(topic) == {node})
+    return node in fact.beacons or any(one.rate is not None and one.rate.silent_s is not None for one in topics)
 
 
 def _nodes(seen: api.TopicFact) -> set[str]:

@@ -191,8 +191,10 @@ class Attempt:
         report: Callable[[Phase, str], None],
         stopping: Callable[[], bool],
         wanted: Callable[[], bool] = lambda: False,
+        first: Callable[[], bool] = lambda: False,
     ) -> AttemptOutcome:
-        """Act and verify. wanted: whether another fault of the target calls for an action (`VerificationHooks`)."""
+        """Act and verify. wanted: whether another fault of the target calls for an action; first: for one on PHM itself
+        (`VerificationHooks`)."""
         name, target = self._type.name, self._target.name
         report(Phase.STARTED, f"{name} {target} for: {self._fault.result.summary}")
         said = self._act()
@@ -201,7 +203,7 @@ class Attempt:
         if isinstance(said, NotNeeded):
             self._pipeline.action_not_needed(self._action_key)
         report(Phase.DONE, said)
-        hooks = VerificationHooks(stopping, self._end_action, wanted)
+        hooks = VerificationHooks(stopping, self._end_action, wanted, first)
         verified = self._verifier.verify(self._fault, target, self._action, hooks)
         return self._outcome(verified, not_needed=isinstance(said, NotNeeded))
 

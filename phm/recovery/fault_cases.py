@@ -15,8 +15,8 @@ from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field, replace
 
 from phm.core.clock import Clock
-from phm.core.model import ActionEvent, Event, Fault, Phase
-from phm.recovery.ladders import DOWN, GENTLE
+from phm.core.model import ActionEvent, Event, Fault, Level, Phase
+from phm.recovery.ladders import DOWN, GENTLE, OUTSIDE
 from phm.recovery.operator.approval import Approval
 from phm.recovery.ownership import Generation, Shared
 
@@ -274,6 +274,7 @@ class ExternalChanges:
         for units, down_from in recovered:
             reset = self._history.reset_backoff(units, down_from).intersection(given_up)
             self._pipeline.clear_given_up(*reset)
+            self._await_unknown(case for case in cases if case.fault.unit in units)
         counts = bool(given_up or self._history.within(self._clock.mono() - CLEAN_S))
         if not counts and self._target not in self._generations.unfinished():
             self._generations.forget(self._target)
@@ -287,21 +288,36 @@ class ExternalChanges:
         return True
 
     def attempted(
-        self, cases: Iterable[FaultCase], mine: FaultCase, before: Generation | None, *, superseded: bool
+        self,
+        cases: Iterable[FaultCase],
+        mine: FaultCase,
+        before: Generation | None,
+        *,
+        superseded: bool,
+        undecided: bool = False,
     ) -> None:
         """An attempt on the target, for the case `mine`, has ended: the current generation is expected.
 
         Earlier results do not decide what to do next, for that case and for the others. The others get the grace of
         their units if the container is no longer in the generation `before`, and so does that case if it began only now: the engine
-        may have started it without answering, or someone else may have.
+        may have started it without answering, or someone else may have. That case gets it, too, if it is `undecided` whether the
+        attempt has helped. No start of a container causes what comes from OUTSIDE.
         """
         now, self._generation = self._clock.mono(), self._generations.current(self._target)
         restarted = self._generation is not None and not self._generation.same(before)
         for case in cases:
             self._expect_current(case)
-            grace_s = self._grace_s(case.fault.unit)
-            waits = superseded or (restarted and (case.fault.id != mine.fault.id or self._age_s(now) < grace_s))
-            case.recheck_after(now + (grace_s if waits else 0.0))
+            grace_s, own = self._grace_s(case.fault.unit), case.fault.id == mine.fault.id
+            waits = superseded or (own and undecided) or (restarted and (not own or self._age_s(now) < grace_s))
+            outside = case.fault.result.condition in OUTSIDE
+            case.recheck_after(now + (grace_s if waits and not outside else 0.0))
+
+    def _await_unknown(self, cases: Iterable[FaultCase]) -> None:
+        """What they need has recovered, e.g. the network on which PHM sees a node: one that was unknown until then gets its grace."""
+        for case in cases:
+            newest = self._pipeline.newest(case.fault.unit)
+            if newest is not None and newest.level is Level.STALE:
+                case.recheck_after(self._clock.mono() + self._grace_s(case.fault.unit))
 
     def _age_s(self, now: float) -> float:
         """How long ago the current generation was first observed."""

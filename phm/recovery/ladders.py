@@ -57,7 +57,12 @@ is tried for as long as the container is down: a part of the budget is reserved 
 has given up, it is tried once per `recovery.backoff_max`."""
 GENTLE = frozenset({"relieve"})
 """Actions that disturb no container: limited by back-off only, they use up no budget."""
-OUTSIDE = frozenset({"network_missing"})
+RESTORE = "restore_file"
+START_NOTHING = frozenset({RESTORE, "relaunch", "unpause"})
+"""Actions on a container that do not start it: the pause between two starts is not counted from them."""
+APART = "sidecar_disconnected"
+"""Condition of a network that PHM itself is not on."""
+OUTSIDE = frozenset({"network_missing", APART})
 """Conditions that come from outside of every container: no action on a container causes them. While one of these lasts, a failed attempt
 does not count (`phm.recovery.verification`)."""
 AGAIN_WHILE_IT_LASTS = frozenset({"disconnected"})

@@ -38,6 +38,7 @@ from phm.recovery.ladders import (
     ONLY_IF_OK_BEFORE,
     ONLY_IF_REACHED_BEFORE,
     PATIENT,
+    START_NOTHING,
 )
 from phm.recovery.safety.armed_state import ArmedStatus
 from phm.recovery.safety.flight_critical import FlightCriticalGuard
@@ -274,7 +275,7 @@ def _when(
     recent = [] if gentle else failures.history.in_budget(now - settings.window, unrestricted, free=free)
     most = settings.budget if down or free or gentle else max(1, settings.budget - settings.reserve)
     if recent and act.alone:
-        ready = recent[-1].at + settings.backoff_max
+        ready = max((made.at + settings.backoff_max for made in recent if made.action not in START_NOTHING), default=now)
         why = f"budget of {most} actions used up, one attempt every {settings.backoff_max:g} s"
         return Wait(ready, why, report=not given_up) if now < ready else act
     if len(recent) >= most:

@@ -12,7 +12,7 @@ from phm.core import threads
 from phm.core.model import Fault, Level, Result
 from phm.facts import CannotTell
 from phm.recovery.base import Action, ActionContext, Target
-from phm.recovery.ladders import AGAIN_WHILE_IT_LASTS, DOWN, OUTSIDE
+from phm.recovery.ladders import AGAIN_WHILE_IT_LASTS, APART, DOWN, OUTSIDE
 from phm.recovery.ownership import Generation, Shared, StartedBy
 from phm.tracker.starvation import explanation
 
@@ -106,6 +106,11 @@ class Verification:
         newest = checks.newest(self.unit, self.done)
         return (newest.decides_s or 0.0) if newest is not None and newest.level is Level.STALE else 0.0
 
+    def unknown(self, checks: CheckResults) -> bool:
+        """Whether the newest run since the action could not tell how the unit is."""
+        newest = checks.newest(self.unit, self.done)
+        return newest is not None and newest.level is Level.STALE
+
     def _of_the_unit(self, checks: CheckResults, now: float, more_s: float) -> VerificationResult | None:
         # While the wait lasts, nothing else is done to the container: not if it has ended meanwhile, either.
         above = ((name, checks.newest(name, self.done)) for name in checks.dependencies(self.unit))
@@ -115,7 +120,9 @@ class Verification:
             starved = self.starved and not self._is_not_slow(checks, name)
             newest = checks.newest(name, self.done + self._still_bad_s(name) + (more_s if starved else 0.0))
             if newest is not None and newest.level is Level.ERROR:
-                return VerificationResult(missing=name, not_counted=newest.condition in OUTSIDE or starved)
+                # That PHM is not on the network counts against the action that is to end it: else PHM would never give up.
+                outside = newest.condition in OUTSIDE and (name, newest.condition) != (self.unit, APART)
+                return VerificationResult(missing=name, not_counted=outside or starved)
         decides_s = self.decides_s(checks)
         if now - self.done <= self.verify_s + decides_s + more_s:
             return None
@@ -177,11 +184,14 @@ class VerificationHooks:
     undecided: called once when `recovery.verify` is over and only time can show whether the unit is OK: from then on the
                other units of the container are evaluated separately.
     wanted:    whether another fault of the container calls for an action; asked only after that.
+    first:     whether another fault calls for an action on PHM itself, e.g. to join the network; asked while the unit is unknown:
+               it may stay so until then.
     """
 
     stopping: Callable[[], bool]
     undecided: Callable[[], None] = lambda: None
     wanted: Callable[[], bool] = lambda: False
+    first: Callable[[], bool] = lambda: False
 
 
 class Verifier:
@@ -223,7 +233,7 @@ class Verifier:
             ):
                 undecided = True
                 hooks.undecided()
-            if rerun and undecided and hooks.wanted():
+            if rerun and ((undecided and hooks.wanted()) or (verification.unknown(self._pipeline) and hooks.first())):
                 return VerificationResult(missing=fault.unit, undecided=True)
             if rerun:
                 self._pipeline.recheck(fault.unit, *verification.waiting)

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 from functools import partial
 
 from phm.core import threads
 from phm.core.model import Event, Fault, Level, Phase
 from phm.recovery.attempt import Attempt
-from phm.recovery.base import Target, TargetKind
+from phm.recovery.base import Target, TargetKind, ladder_of
 from phm.recovery.fault_cases import (
     ActionReporter,
     AttemptRecord,
@@ -27,6 +27,7 @@ from phm.recovery.fault_cases import (
     PersistedCase,
     UnfinishedAction,
 )
+from phm.recovery.ladders import DOWN, RESTORE
 from phm.recovery.operator.approval import NotApprovable
 from phm.recovery.operator.requests import RESTART, OperatorRequests
 from phm.recovery.ownership import Shared
@@ -199,13 +200,35 @@ class TargetWorker:
             waits.append(MISSING_S)
         if self._requests is not None and self._requests.pending:
             waits.append(self._restart_manually(self._requests))
-        for case in cases:
+        for case in self._in_order(cases):
             if 0 in waits:
                 return 0
             waits += self._check_approval(case)
             if not case.refused:
                 waits += self._handle(case)
         return 0 if 0 in waits else self._keep_starting(waits)
+
+    def _in_order(self, cases: list[FaultCase]) -> list[FaultCase]:
+        """Most upstream first. Before that what takes nothing down: an action on PHM itself, and the restoring of a file, which may be the
+        cause. But they do not delay the first attempt to bring back a container that is down or paused.
+        """
+        down = [case.fault for case in cases if case.fault.result.condition in (*DOWN, PAUSED)]
+        tried = self._history.attempts
+        if not all(any(made.unit == fault.unit and made.at >= fault.opened.mono for made in tried) for fault in down):
+            return cases
+        first = {RESTORE, *self._catalog.unrestricted}
+
+        def follows(case: FaultCase) -> bool:
+            if not self._may_call(case, first):
+                return True
+            decision = self._decide(case.fault, approved=case.approval is not None)
+            return not (isinstance(decision, Act) and decision.action in first)
+
+        return sorted(cases, key=follows)
+
+    def _may_call(self, case: FaultCase, actions: Collection[str]) -> bool:
+        """Whether one of these is in its ladder: to decide may ask the engine, and this does not."""
+        return not set(ladder_of(case.fault.result.condition, self._rules.settings)).isdisjoint(actions)
 
     def _handle(self, case: FaultCase) -> list[float]:
         """Act on one fault or wait. Returns the seconds until it must be decided again; empty: only an event can change it."""
@@ -268,11 +291,26 @@ class TargetWorker:
 
     def _another_calls(self, case: FaultCase) -> bool:
         """Whether another fault of the target calls for an action."""
-        return any(
-            isinstance(self._decide(other.fault, approved=other.approval is not None), Act)
-            for other in self._current()
-            if other.fault.id != case.fault.id and not other.refused and self._changes.unconfirmed_since(other) is None
+        return any(True for _ in self._other_acts(case))
+
+    def _phm_first(self, case: FaultCase, act: Act) -> bool:
+        """Whether another fault, confirmed by its newest run, calls for an action on PHM itself, and `act` is not one."""
+        own = self._catalog.unrestricted
+        return act.action not in own and any(
+            other.action in own and self._pipeline.confirmed_bad(unit, ANY_TIME)
+            for unit, other in self._other_acts(case, own)
         )
+
+    def _other_acts(self, case: FaultCase, among: frozenset[str] = frozenset()) -> Iterator[tuple[str, Act]]:
+        """The actions for which other faults of the target call, with their units. among: only faults with one of these in their ladder."""
+        for other in self._current():
+            if other.fault.id == case.fault.id or other.refused or self._changes.unconfirmed_since(other) is not None:
+                continue
+            if among and not self._may_call(other, among):
+                continue
+            decision = self._decide(other.fault, approved=other.approval is not None)
+            if isinstance(decision, Act):
+                yield other.fault.unit, decision
 
     def _wait_for_confirmation(self, unit: str, recheck_from: float) -> float:
         now = self._clock.mono()
@@ -418,12 +456,16 @@ class TargetWorker:
             publish(phase, detail)
 
         try:
-            outcome = attempt.run(report, lambda: self._stopping, lambda: self._another_calls(case))
+            outcome = attempt.run(
+                report, lambda: self._stopping, lambda: self._another_calls(case), lambda: self._phm_first(case, act)
+            )
             if self._stopping and not outcome.worked:
                 return 0  # interrupted by the end of PHM: the state file still says that it is under way
             worked = outcome.worked or outcome.undecided
             case.refused = outcome.refused
-            self._changes.attempted(self._current(), case, before, superseded=outcome.superseded)
+            self._changes.attempted(
+                self._current(), case, before, superseded=outcome.superseded, undecided=outcome.undecided
+            )
             took_s = self._clock.mono() - record.at
             done = replace(
                 record, worked=outcome.worked, not_counted=outcome.not_counted, partly=outcome.partly, took_s=took_s

@@ -22,15 +22,19 @@ NETWORK, ENDED = "network/", "node_missing"
 """Units of networks, and the condition of a node that has ended: with conclusive evidence it is known from the Docker
 Engine, and no consequence of a network. So is a result with certain evidence. Other conclusive results may be one, of a node that runs:
 its source may be on that network."""
+STOPPED = "node_hung"
+"""The condition of a node whose process is stopped, if that is certain."""
 ENGINE, CONTAINER = "engine", "container/"
 """The unit of the Docker Engine, and units of containers."""
 DETACHED, RECONNECTS = "disconnected", "reconnect"
 """The condition of a container that is not on its network, known from the Docker Engine if the evidence is conclusive,
 and the action that takes a container off its networks for a moment."""
-FROM_OUTSIDE = frozenset({"network_missing", "device_missing"})
+FROM_OUTSIDE = frozenset({"network_missing", "device_missing", "sidecar_disconnected"})
 """Conditions that come from outside of every container: no action on one causes them, except that a program may reset its device when it
 starts, which is a fault at any start. Not taken for a consequence of an action in progress (rule 2), nor of a container whose OK is held
 back (rule 4)."""
+ONE_PART = frozenset({"relaunch", "restore_file"})
+"""Actions on one node or on files: they end no process of another node."""
 GRACE_ENDS_AFTER_OK_S = 2.5
 """Grace ends early once a unit has been OK for this long. Shorter could be a remnant of the previous run (a killed node stays
 listed until its lease ends, 1 s with the profile in config/fastdds.xml)."""
@@ -96,8 +100,8 @@ def action_in_progress(context: RuleContext) -> Decision | None:
 
     The unit is STALE `blocked_by` the fault being recovered; a unit with an open fault stays unchanged. Except that the Docker
     Engine no longer lists the running container on its network: of the actions only RECONNECTS does that. And except what was certain
-    before an action that leaves its target running, and what comes FROM_OUTSIDE. An action without a fault was requested: its unit is
-    STALE.
+    before an action that leaves its target running, what is certain about another part than that of an action on ONE_PART, and what
+    comes FROM_OUTSIDE. An action without a fault was requested: its unit is STALE.
     """
     record, action = context.record, context.view.actions.get(context.record.target)
     if action is None or not context.result.level.bad:
@@ -110,7 +114,7 @@ def action_in_progress(context: RuleContext) -> Decision | None:
         summary = f"{record.target} is being restarted on request: {context.result.summary}"
         return Decision(replace(context.result, level=Level.STALE, summary=summary, brief="", condition=""))
     separate = context.result.condition in FROM_OUTSIDE or certain_before(record, action)
-    return None if separate else _blocked(context, action.owner)
+    return None if separate or _of_another_part(context, action) else _blocked(context, action.owner)
 
 
 def on_hold(context: RuleContext) -> Decision | None:
@@ -266,9 +270,20 @@ def in_grace(record: UnitRecord, now: float) -> bool:
 
 
 def certain_before(record: UnitRecord, action: ActionInProgress) -> bool:
-    """Whether the unit has been bad with certainty, in this run of its target, since before an action that leaves that running."""
+    """Whether the unit has been bad with certainty, in this run of its target, since before an action that leaves that running. Or since
+    later, if a process is stopped: no action stops one by a signal without ending it."""
     since = record.certain_since
-    return action.leaves_running and since is not None and record.valid_from <= since < action.begun
+    if not action.leaves_running or since is None or since < record.valid_from:
+        return False
+    return since < action.begun or (record.latest is not None and record.latest.condition == STOPPED)
+
+
+def _of_another_part(context: RuleContext, action: ActionInProgress) -> bool:
+    """Whether the unit is bad with certainty, in this run of its target, while one of ONE_PART is done to another part of that."""
+    record = context.record
+    since, node = record.certain_since, record.spec.unit.node
+    same = bool(node) and node == context.view.units[action.owner].spec.unit.node
+    return action.action in ONE_PART and not same and since is not None and since >= record.valid_from
 
 
 def _unverified(record: UnitRecord, context: RuleContext) -> bool:
@@ -282,11 +297,10 @@ def _unverified(record: UnitRecord, context: RuleContext) -> bool:
 
 
 def _all_back(record: UnitRecord, view: TrackerView) -> bool:
-    """Whether all dependents in its target have been found OK since the verification of its recovery failed."""
-    below = (other for other in view.downstream(record.id) if other.target == record.target and not _known(other))
+    """Whether all dependents that wait for its recovery have been found OK since the verification of that failed."""
     return all(
         other.latest is not None and other.latest.level is Level.OK and other.started >= record.unverified_from
-        for other in below
+        for other in view.waiting_for(record.id)
     )
 
 
@@ -342,17 +356,24 @@ def _acted_on(context: RuleContext) -> bool:
 def _possible_causes(context: RuleContext) -> list[UnitRecord]:
     """The dependencies that can explain the result.
 
-    A network does not explain that a process has ended or is stopped. An engine that does not respond explains what is unknown, but
-    neither a container that is known to be down without it or since before, nor what depends on that one.
+    A network does not explain that a process has ended or is stopped, nor that it is unknown whether such a fault is over. An engine
+    that does not respond explains what is unknown, but neither a container that is known to be down without it or since before, nor
+    what depends on that one.
     """
-    evidence, upstream = context.result.evidence, context.view.upstream(context.record.id)
-    ended = evidence.certain or (evidence.conclusive and context.result.condition == ENDED)
+    fault, upstream = context.record.fault, context.view.upstream(context.record.id)
+    reported = fault is not None and not context.result.level.bad and _has_ended(fault.result)
+    ended = reported or _has_ended(context.result)
     down = any(_known_down(other) for other in (context.record, *upstream))
     return [
         other
         for other in upstream
         if not (ended and other.id.startswith(NETWORK)) and not (down and other.id == ENGINE)
     ]
+
+
+def _has_ended(result: Result) -> bool:
+    """Whether it states that a process has ended or is stopped, by evidence from the Docker Engine."""
+    return result.evidence.certain or (result.evidence.conclusive and result.condition == ENDED)
 
 
 def _known_down(record: UnitRecord) -> bool:

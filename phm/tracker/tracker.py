@@ -22,6 +22,8 @@ SETTLING_RERUN_S = 0.15
 """A unit with `settle_s` runs again this often: new evidence may end the wait early (`Result.settle_s`)."""
 UNVERIFIED_S = 30.0
 """How long a unit that is OK again stays ERROR because its dependents have not come back: time for the next action."""
+JOINS = "join_network"
+"""The action that connects PHM itself to a network: it ends no other fault of the container."""
 PRESSURE = "pressure/"
 """Prefix of the units that report the resource pressure of a container."""
 
@@ -87,15 +89,8 @@ class Tracker:
         return any(self._units[name].failing and self._units[name].started >= mono for name in self._below(record))
 
     def _below(self, record: UnitRecord) -> list[str]:
-        """Dependents of the same target without a separate fault, and that need none of those that have one. Not its pressure unit:
-        a recovery cannot end that."""
-        below = [other for other in self._view.downstream(record.id) if other.target == record.target]
-        apart = {other.id for other in below if other.fault is not None or other.published_given_up}
-        return [
-            other.id
-            for other in below
-            if apart.isdisjoint((other.id, *self.graph.upstream(other.id))) and not other.id.startswith(PRESSURE)
-        ]
+        """See `TrackerView.waiting_for`. Without its pressure unit: a recovery cannot end that."""
+        return [other.id for other in self._view.waiting_for(record.id) if not other.id.startswith(PRESSURE)]
 
     def failing_dependents(self, unit: str, mono: float) -> tuple[str, ...]:
         """Dependents of `unit` in the same target that no run since `mono` has found free of ERROR.
@@ -250,7 +245,8 @@ class Tracker:
         for record in self._units.values():
             # The restart of a dependent is part of the action on the owner's target, which gets the credit.
             part = record.target != target and record.target in self._actions
-            if record.fault is not None and (record.target == target or (record.id == owner and not part)):
+            concerned = record.target == target and action != JOINS
+            if record.fault is not None and (concerned or (record.id == owner and not part)):
                 record.fault = replace(record.fault, by=action)
         return Effects()
 

@@ -308,6 +308,23 @@ class TrackerView:
     def downstream(self, unit: str) -> list[UnitRecord]:
         return [self.units[name] for name in self.needs.downstream(unit)]
 
+    def waiting_for(self, unit: str) -> list[UnitRecord]:
+        """Dependents of the unit in its target without a separate fault, open or given up, and that need no other unit that has one.
+
+        That one may be anywhere: a topic also needs the nodes of other containers, and no action on this one brings those back.
+        """
+        record = self.units[unit]
+        apart = {
+            other.id
+            for other in self.units.values()
+            if other is not record and (other.fault is not None or other.published_given_up)
+        }
+        return [
+            other
+            for other in self.downstream(unit)
+            if other.target == record.target and apart.isdisjoint((other.id, *self.needs.upstream(other.id)))
+        ]
+
 
 def graph_of(tracked: Iterable[TrackedUnit]) -> DependencyGraph:
     """The dependency graph of these units. Raises `phm.core.dependency_graph.DependencyCycle`."""

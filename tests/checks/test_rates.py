@@ -25,6 +25,7 @@ class Bench:
         )
         (self.check,) = Rates.build(settings)
         self.clock, self.ros = testing.FakeClock(), testing.FakeRos()
+        self.docker = testing.FakeDocker(testing.container())
 
     def evaluate(
         self,
@@ -41,7 +42,7 @@ class Bench:
 
     def see(self, fact: api.TopicFact, **ros: Any) -> api.Result:
         self.ros.change(topics={NAME: fact}, **ros)
-        results = self.check.run(testing.world(clock=self.clock, ros=self.ros))
+        results = self.check.run(testing.world(clock=self.clock, ros=self.ros, docker=self.docker))
         assert not isinstance(results, api.Result)
         return results[UNIT]
 
@@ -259,6 +260,33 @@ def test_the_text_says_that_large_messages_may_be_lost_on_the_way(size: float | 
     camera = (api.EndpointFact("/agent_1/node_1", "sensor_msgs/msg/Image"),)
     never = Bench(30.0).see(api.TopicFact(camera, (), api.RateFact(None, None)), up_s=60.0)
     assert never.condition == "not_received" and "net.core.rmem_default" in never.summary
+
+
+BEACON = {"/agent_1/node_1": api.BeaconFact(0.1, 0.2, witness="one")}
+
+
+@pytest.mark.parametrize(
+    ("up_s", "beacons", "restarted", "condition"),
+    [
+        (12.0, BEACON, False, "topic_silent"),
+        (10.0, BEACON, False, "not_received"),
+        (60.0, {}, False, "not_received"),
+        (60.0, BEACON, True, "not_received"),
+    ],
+)
+def test_a_topic_that_was_received_in_this_run_is_silent_for_a_new_child_too(
+    up_s: float, beacons: dict[str, api.BeaconFact], restarted: bool, condition: str
+) -> None:
+    """PHM has lost the network meanwhile. The child has waited for `ros.grace` and three periods and receives the node; another run of
+    the container proves nothing."""
+    bench = Bench()
+    for _ in range(2):
+        bench.evaluate(1.0, beacons=beacons)
+        bench.clock.advance(10.0)
+    if restarted:
+        bench.docker.change("ros_app", started_at="2026-01-02T00:00:00Z")
+    result = bench.evaluate(silent_s=None, up_s=up_s, listened_s=400.0)
+    assert (result.level, result.condition, result.target) == (api.Level.ERROR, condition, "ros_app")
 
 
 class BlockedTransport:

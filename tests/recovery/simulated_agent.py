@@ -182,6 +182,7 @@ class Agent:
             starts = of in ("start", "restart")
             leaves_running = of in ("reconnect", "join_network")
             deadline_s = 100.0
+            on_phm_itself = of == "join_network"
 
             def waits_for(self, target: Target, fault: Fault, context: ActionContext) -> str:
                 return agent.missing if fault.unit not in agent.not_missing else ""

@@ -81,3 +81,68 @@ def test_a_container_that_starts_without_its_network_is_reconnected_and_not_rest
     assert not agent.pipeline.open_faults()
     agent.stop()
     agent.clock.advance(1000)
+
+
+def test_a_start_is_not_followed_by_a_restart_because_another_container_is_down() -> None:
+    """A topic of the started container also needs the other one, on which PHM may not act: no restart brings the topic back."""
+    units = {
+        "container/a": Of("a"),
+        "container/b": Of("b"),
+        "nodes/a": Of("a", ("container/a",)),
+        "topics/a": Of("a", ("nodes/a", "container/b")),
+    }
+    ladders = {"exited": ["start", "restart"]}
+    agent = Agent(
+        units, Containers("a", "b"), FakeClock(), opted_in=("a",), actions=("start", "restart"), ladders=ladders
+    )
+
+    def act(key: str, context: ActionContext, fault: Fault) -> None:
+        agent.containers.start(key)
+        agent.pipeline.container_started(key)
+        del agent.bad["container/a"], agent.found["nodes/a"]
+
+    agent.behave = act
+    agent.rest(3.0)
+    agent.containers.end("b")
+    agent.bad |= {"container/b": "exited", "topics/a": "subscriber_missing"}
+    agent.rest(3.0)
+    agent.containers.end("a")
+    agent.bad["container/a"], agent.found["nodes/a"] = "exited", stale("not running")
+    agent.rest(40.0)
+    assert agent.acted() == ["start"]
+    assert agent.opened() == ["container/b", "container/a"]
+    assert [event.fault.unit for event in agent.closed()] == ["container/a"]
+    agent.stop()
+    agent.clock.advance(1000)
+
+
+def test_a_container_that_starts_while_phm_is_off_its_network_is_not_restarted() -> None:
+    """PHM was disconnected while the container was down. The start has worked, and PHM joins the network as soon as that is known."""
+    units = {
+        "container/app": Of("app"),
+        "network/app": Of("app", ("container/app",), grace_s=3.0),
+        "nodes/app": Of("app", ("container/app", "network/app"), grace_s=8.0),
+    }
+    ladders = {"exited": ["start", "restart"]}
+    agent = Agent(units, Containers("app"), FakeClock(), actions=("start", "restart", "join_network"), ladders=ladders)
+
+    def act(key: str, context: ActionContext, fault: Fault) -> None:
+        agent.bad.clear()
+        agent.found.clear()
+        if fault.unit == "container/app":
+            agent.containers.start(key)
+            agent.pipeline.container_started(key)
+            agent.bad["network/app"], agent.found["nodes/app"] = "sidecar_disconnected", stale("not seen")
+
+    agent.behave = act
+    agent.rest(12.0)
+    agent.containers.end("app")
+    agent.pipeline.container_ended("app")
+    agent.bad["container/app"] = "exited"
+    agent.found |= {"network/app": stale("not running"), "nodes/app": stale("not running")}
+    agent.rest(20.0)
+    assert agent.opened() == ["container/app", "network/app"]
+    assert agent.acted() == ["start", "join_network"]
+    assert not agent.pipeline.open_faults()
+    agent.stop()
+    agent.clock.advance(1000)

@@ -264,3 +264,22 @@ def test_a_dependency_that_fails_after_the_action_ends_the_wait() -> None:
     assert verification.result(Exited(STILL_BAD_S - 0.1), 2.0) is None
     assert verification.waiting == ("container/app", "health/app")
     assert verification.result(Exited(STILL_BAD_S), 2.1) == VerificationResult(missing="container/app")
+
+
+class Off(Silent):
+    """The unit is unknown, because PHM is not on its network."""
+
+    def dependencies(self, unit: str) -> tuple[str, ...]:
+        return ("network/app",) if unit == "nodes/one" else ()
+
+    def newest(self, unit: str, mono: float) -> Result | None:
+        off = error("PHM is not on it", brief="PHM not on net", condition="sidecar_disconnected")
+        return (off if unit == "network/app" else stale("not seen")) if self.started >= mono else None
+
+
+@pytest.mark.parametrize(("unit", "not_counted"), [("nodes/one", True), ("network/app", False)])
+def test_phm_off_the_network_counts_only_against_joining_it(unit: str, not_counted: bool) -> None:
+    """No action on the application takes PHM off; a PHM that cannot join gives up."""
+    verification = Verification(unit, 0.0, 2.0, 30.0, lambda unit: GRACE_S)
+    expected = VerificationResult(missing="network/app", not_counted=not_counted)
+    assert verification.result(Off(GRACE_S + STILL_BAD_S), 5.1) == expected

@@ -73,12 +73,39 @@ def test_newer_lists_of_the_same_do_not_hide_it() -> None:
     assert bench.opened == ["network/app", "nodes/a"]
 
 
-@pytest.mark.parametrize("action", ["restart", "relaunch", "start"])
+@pytest.mark.parametrize("action", ["restart", "start"])
 def test_other_actions_hide_it(action: str) -> None:
     """They replace the process: what ended it no longer matters."""
     bench = Lost(action)
     bench.look(gone(bench.died))
     assert bench.opened == ["network/app"] and bench.blocked_by("nodes/a") == "network/app"
+
+
+@pytest.mark.parametrize(("action", "opened"), [("relaunch", ["nodes/b"]), ("restore_file", ["nodes/b"]), ("restart", [])])
+def test_a_relaunch_does_not_explain_the_end_of_another_node(action: str, opened: list[str]) -> None:
+    """It ends no process. A topic of the node that it starts again, and what is not certain, still follows from it."""
+    bench = Bench(
+        [
+            unit("container/app", target="app"),
+            *(unit(f"nodes/{name}", "container/app", target="app", node=f"/{name}") for name in "abc"),
+            unit("rates/a", "nodes/a", target="app", node="/a"),
+        ]
+    )
+    bench.later(10)
+    bench.all_healthy()
+    for name, result in (("nodes/a", gone(bench.now)), ("container/app", OK), ("nodes/a", gone(bench.now))):
+        bench.see(name, result)
+    bench.take(bench.tracker.begin_action("app", "nodes/a", action, bench.stamp(), 60.0, verifying=True))
+    for _ in range(2):
+        bench.now += 0.3
+        for name, result in (
+            ("nodes/b", gone(bench.now)),
+            ("nodes/c", BAD),
+            ("rates/a", gone(bench.now)),
+            ("container/app", OK),
+        ):
+            bench.see(name, result)
+    assert bench.opened == ["nodes/a", *opened]
 
 
 def test_what_was_first_observed_during_the_action_may_follow_from_it() -> None:
@@ -145,3 +172,16 @@ def test_an_action_that_was_not_needed_is_not_credited_with_the_node() -> None:
     bench.look(OK, OK)
     bench.end()
     assert [by for _, _, by in bench.closed] == ["itself", "itself"]
+
+
+def test_a_process_that_is_stopped_does_not_follow_from_a_reconnection() -> None:
+    """It was found 0.3 s after that began. `reconnect` sends no such signal; while the container is being stopped, it does not count."""
+    seen = Evidence(certain=True, conclusive=True)
+    stopped = error("process stopped", brief="hung", condition="node_hung").with_evidence(seen)
+    bench = Lost()
+    bench.look(stopped)
+    assert bench.opened == ["network/app", "nodes/a"]
+    bench = Lost()
+    bench.take(bench.tracker.expect_stop("app", bench.stamp(), 10.0))
+    bench.look(stopped)
+    assert bench.opened == ["network/app"]

@@ -32,12 +32,19 @@ def begin(bench: Bench, owner: str, action: str = "restart") -> None:
     bench.later(1.0)
 
 
-@pytest.mark.parametrize(("name", "condition"), [("devices/app", "device_missing"), ("network/app", "network_missing")])
+@pytest.mark.parametrize(
+    ("name", "condition"),
+    [
+        ("devices/app", "device_missing"),
+        ("network/app", "network_missing"),
+        ("network/app", "sidecar_disconnected"),
+    ],
+)
 @pytest.mark.parametrize("owner", ["nodes/n", "container/app"])
 def test_what_comes_from_outside_of_the_container_does_not_follow_from_an_action(
     bench: Bench, owner: str, name: str, condition: str
 ) -> None:
-    """No action unplugs a device or removes a network, and its verification may last a minute."""
+    """No action unplugs a device, removes a network or takes PHM off one, and its verification may last a minute."""
     bench.see(owner, BAD)
     bench.see("container/app", BAD if owner == "container/app" else OK)
     bench.see("network/app", OK)

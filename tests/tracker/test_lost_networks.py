@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from phm.api import error
-from phm.core.model import Evidence
+from phm.api import Level, error, stale
+from phm.core.model import Evidence, Outcome
 from tests.fakes.tracker_bench import BAD, OK, Bench, unit
 
 
@@ -76,3 +76,24 @@ def test_a_lost_network_hides_what_a_running_node_reports() -> None:
         bench.see("network/app", BAD)
     assert bench.opened == ["network/app"]
     assert bench.blocked_by("data/image") == "network/app"
+
+
+def test_an_ended_process_that_is_unknown_later_is_not_reattributed_to_the_network() -> None:
+    """PHM has lost the network, too, and cannot see whether the node is back: its fault stays open, as no network has ended the process."""
+    gone = error("process ended", brief="dead", condition="node_missing").with_evidence(Evidence(certain=True))
+    bench = Bench([unit("container/app"), unit("network/app", "container/app"), unit("nodes/n", "network/app")])
+    bench.all_healthy()
+    bench.now += 1
+    for _ in range(2):
+        bench.see("nodes/n", gone)
+        bench.see("container/app", OK)
+    for _ in range(2):
+        bench.now += 1
+        bench.see("network/app", BAD)
+        bench.see("container/app", OK)
+        bench.see("network/app", BAD)
+        bench.see("nodes/n", stale("not seen"))
+    assert (bench.level("nodes/n"), bench.blocked_by("nodes/n")) == (Level.STALE, "")
+    assert (bench.opened, bench.closed) == (["nodes/n", "network/app"], [])
+    bench.see("nodes/n", BAD)
+    assert bench.closed == [("nodes/n", Outcome.REATTRIBUTED, "network/app")], "what the network explains"
