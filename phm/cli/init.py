@@ -29,7 +29,8 @@ ENGINE_S = 30.0
 def _engine() -> str:
     """Where `docker` looks for the engine, if PHM's container can reach it there, too."""
     url = os.environ.get("DOCKER_HOST", "")
-    return url if url.startswith(("unix://", "tcp://")) else SOCKET
+    own = url.startswith(("tcp://127.", "tcp://localhost", "tcp://[::1]"))  # in PHM's container that is the container
+    return url if url.startswith(("unix://", "tcp://")) and not own else SOCKET
 
 
 def _deliver_at(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, int] | None:

@@ -122,11 +122,16 @@ def _unknown_conditions(good: Configuration) -> list[str]:
 
 def _loopback(good: Configuration) -> list[str]:
     from phm.core.settings.metrics import is_loopback as is_own_address
-    from phm.transport.own_network import is_loopback, is_private
+    from phm.transport.own_network import is_loopback, is_private, listens_only_inside
 
     if not is_private():
         return []
     found = []
+    inside = [entry.url for entry in good.settings.mavlink.endpoints if listens_only_inside(entry.url)]
+    if inside:
+        found.append(
+            f"{good.file}: mavlink.endpoints: {', '.join(inside)} listens only inside PHM's container: write 0.0.0.0 in place of the address"
+        )
     loopback = [entry.url for entry in good.settings.mavlink.endpoints if is_loopback(entry.url)]
     if loopback:
         found.append(
@@ -134,8 +139,8 @@ def _loopback(good: Configuration) -> list[str]:
             "the host use udpout:host.docker.internal:14550 with `extra_hosts: [host.docker.internal:host-gateway]`, or `network_mode: "
             "host`; for one in another container, its name"
         )
-    waiting = [entry.url for entry in good.settings.mavlink.endpoints if entry.url.startswith(("udpin:", "tcpin:"))]
-    if waiting:
+    urls = [entry.url for entry in good.settings.mavlink.endpoints if entry.url.startswith(("udpin:", "tcpin:"))]
+    if waiting := [url for url in urls if url not in inside]:
         found.append(
             f"{good.file}: mavlink.endpoints: {', '.join(waiting)} can be reached only by containers on PHM's networks, unless `ports:` "
             "of its Compose file publishes it"

@@ -11,7 +11,7 @@ from phm.core.settings import EndpointSettings
 from phm.doctor.context import DoctorContext
 from phm.doctor.row import Row, limited, missing, ok
 from phm.probes.serial_port_users import users
-from phm.transport.own_network import HOST_NAME, is_loopback, is_private
+from phm.transport.own_network import HOST_NAME, is_loopback, is_private, listens_only_inside
 from phm.transport.serial_errors import place
 from phm.wire import status_file
 
@@ -49,6 +49,9 @@ def _serial(endpoint: EndpointSettings, context: DoctorContext) -> Row:
 def _listening(endpoint: EndpointSettings, context: DoctorContext) -> Row:
     scheme, host, port = _parts(endpoint)
     kind = socket.SOCK_DGRAM if scheme == "udpin" else socket.SOCK_STREAM
+    if is_private() and listens_only_inside(endpoint.url):
+        text = f"{endpoint.url} listens only inside PHM's container"
+        return limited(endpoint.key, text, f"write {scheme}:0.0.0.0:{port}")
     few = "; only containers on PHM's networks reach it, unless `ports:` of its Compose file publishes it"
     reach = few if is_private() else ""
     try:

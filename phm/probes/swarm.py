@@ -23,8 +23,8 @@ FRESH_S, FRESH_PERIODS = 0.5, 0.1
 LINK_S = 60.0
 """A link without a frame from another agent for this long leads to no agent."""
 GROUND_PERIODS = 2.5
-"""Where a ground station has appeared, agents that do not receive it are known after so many periods, at least VIEWS_S. A view that
-was lost is sent again a period later."""
+"""Where a ground station has appeared, the leader and the agents that do not receive it are known after so many periods, at least
+VIEWS_S. A view that was lost is sent again a period later."""
 
 
 class SwarmMonitor:
@@ -106,8 +106,9 @@ class SwarmMonitor:
             receives = not any(name in closed and now - at <= LINK_S for name, at in self._links.items())
             self._peers.watch(now, period_s, receives=receives)
             agreed = compute_consensus(self._peers, now)
-            leader = self._election.leader(agreed, gcs and not self._awaits_views(agreed, now, period_s), now)
-            no_gcs = self._without_ground(agreed, gcs, now, period_s)
+            views_s = max(VIEWS_S, GROUND_PERIODS * period_s)
+            leader = self._election.leader(agreed, gcs and not self._awaits_views(agreed, now, period_s), now, views_s)
+            no_gcs = self._without_ground(agreed, gcs, now, views_s)
             duplicate_ids, unlisted = self._peers.duplicate_ids(now), self._peers.unlisted(now)
             recent = [name for name, at in self._links.items() if now - at <= LINK_S]
             links = tuple(sorted(recent or self._links))  # an agent that receives none must still send that it does
@@ -137,15 +138,14 @@ class SwarmMonitor:
         new = now - self._began < LOST_PERIODS * period_s
         return new and any(agreed.statuses[agent].gcs is None for agent in agreed.living if agent < self._own)
 
-    def _without_ground(self, agreed: Consensus, gcs: bool, now: float, period_s: float) -> tuple[int, ...]:
-        """`without_gcs`; none while a ground station has only just appeared: the views of most are from before."""
+    def _without_ground(self, agreed: Consensus, gcs: bool, now: float, views_s: float) -> tuple[int, ...]:
+        """`without_gcs`; none while a ground station has only just appeared: the views of most are from before, for `views_s`."""
         if not (gcs or any(status.gcs for status in agreed.statuses.values())):
             self._ground_from = None
             return ()
         if self._ground_from is None:
             self._ground_from = now
-        known = now - self._ground_from >= max(VIEWS_S, GROUND_PERIODS * period_s)
-        return without_gcs(agreed, gcs) if known else ()
+        return without_gcs(agreed, gcs) if now - self._ground_from >= views_s else ()
 
     def wake_if_changed(self) -> None:
         """Compute the fact. The number of agents sets the links' budgets."""

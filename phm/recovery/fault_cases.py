@@ -313,7 +313,7 @@ class ExternalChanges:
             case.recheck_after(now + (grace_s if waits and not outside else 0.0))
 
     def _await_unknown(self, cases: Iterable[FaultCase]) -> None:
-        """What they need has recovered, e.g. the network on which PHM sees a node: one that was unknown until then gets its grace."""
+        """What they need has recovered, e.g. a node of another container: one that was unknown until then gets its grace."""
         for case in cases:
             newest = self._pipeline.newest(case.fault.unit)
             if newest is not None and newest.level is Level.STALE:

@@ -275,7 +275,8 @@ def _when(
     recent = [] if gentle else failures.history.in_budget(now - settings.window, unrestricted, free=free)
     most = settings.budget if down or free or gentle else max(1, settings.budget - settings.reserve)
     if recent and act.alone:
-        ready = max((made.at + settings.backoff_max for made in recent if made.action not in START_NOTHING), default=now)
+        starts = (made.at for made in recent if made.action not in START_NOTHING)
+        ready = max(starts, default=now - settings.backoff_max) + settings.backoff_max
         why = f"budget of {most} actions used up, one attempt every {settings.backoff_max:g} s"
         return Wait(ready, why, report=not given_up) if now < ready else act
     if len(recent) >= most:

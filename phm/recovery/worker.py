@@ -38,6 +38,8 @@ logger = logging.getLogger(__name__)
 POLL_S = 0.05
 ANY_TIME = float("-inf")
 RETRY_S = 0.5
+FILE_FAULT_S = 1.5
+"""After the end of an action, a fault of the files that was hidden by it is reported within this time."""
 """How often PHM checks again a target on which another attempt acts, and a fault that a new run must confirm."""
 INTERRUPTED_S = 20.0
 """A target whose action was interrupted is held this long, beyond the unit's grace, unless it recovers before."""
@@ -49,7 +51,7 @@ NOT_STARTED = "not_started"
 """The condition of a container that was created and waits for its first start (`phm_checks.container`)."""
 NOT_STARTED_S = 60.0
 """While the state of such a container is unknown, it counts as not started for this long: its creator has no more time anyway."""
-ENGINE, CONTAINER, ENGINE_DOWN = "engine", "container/", "engine_down"
+ENGINE, CONTAINER, FILES, ENGINE_DOWN = "engine", "container/", "files/", "engine_down"
 """The unit of the Docker Engine, units of containers, and the condition of an engine that does not respond."""
 GENERATION_S = 2.0
 """While attempts on the container count, it is checked this often whether something else has started it again."""
@@ -221,7 +223,11 @@ class TargetWorker:
         def follows(case: FaultCase) -> bool:
             if not self._may_call(case, first):
                 return True
-            decision = self._decide(case.fault, approved=case.approval is not None)
+            try:
+                decision = self._decide(case.fault, approved=case.approval is not None)
+            except Exception:  # of an action's own code: it must not keep the others from their turn
+                logger.exception("deciding about %s failed", case.fault.unit)
+                return True
             return not (isinstance(decision, Act) and decision.action in first)
 
         return sorted(cases, key=follows)
@@ -245,7 +251,19 @@ class TargetWorker:
         if not self._pipeline.confirmed_bad(case.fault.unit, ANY_TIME):
             # The decision waited, and the fault may be over: it stays open while its unit is unknown or only a warning.
             return [self._wait_for_confirmation(case.fault.unit, ANY_TIME)]
+        if self._lacks_a_file(case):
+            return [RETRY_S]
         return [self._perform(case, decision, lambda: self._outdated(case, decision))]
+
+    def _lacks_a_file(self, case: FaultCase) -> bool:
+        """Whether a file that PHM can restore was found missing during the attempt that has just failed to bring back the container:
+        its fault is about to open, and the file must be there at the next start."""
+        tried = [made for made in self._history.attempts if made.unit == case.fault.unit]
+        newest = self._pipeline.newest(f"{FILES}{self._name}")
+        if case.fault.result.condition not in DOWN or not tried or newest is None or newest.level is not Level.ERROR:
+            return False
+        just = self._clock.mono() < tried[-1].at + tried[-1].took_s + FILE_FAULT_S
+        return just and RESTORE in ladder_of(newest.condition, self._rules.settings)
 
     def _outdated(self, case: FaultCase, act: Act) -> bool:
         """Whether something has started the container again since the fault was found, or a newer run does not confirm the fault."""

@@ -52,6 +52,8 @@ class SwarmReporter(Reporter):
         self._agent, self._settings = context.settings.agent.id, context.settings.mavlink
         self._sequence = 0
         self._viewed: object = None
+        self._restarts = 0
+        """Of all peers, when the last view was sent."""
         self._again = False
         self._view_at = float("-inf")
         self._sent_line, self._line_at, self._line_again = "", float("-inf"), False
@@ -119,12 +121,14 @@ class SwarmReporter(Reporter):
         autopilot, radio = (ask is not None and ask() for ask in (self._context.autopilot, self._context.radio))
         new = fact.up_s < LOST_PERIODS * self._heartbeat_s()
         seen = {agent: _seen(peer, self._agent in peer.received_by, new) for agent, peer in fact.peers.items()}
-        # An agent that was started again has no views: it must not lead beside the leader until the next ones are due.
-        restarts = sum(peer.restarts for peer in fact.peers.values())
-        said = (fact.gcs, autopilot, radio, tuple(sorted(seen.items())), restarts)
+        said = (fact.gcs, autopilot, radio, tuple(sorted(seen.items())))
         heartbeat_s = self._heartbeat_s()
         since_s = now - self._view_at
-        if said == self._viewed:
+        restarts = sum(peer.restarts for peer in fact.peers.values())
+        if said == self._viewed and restarts != self._restarts and since_s >= LOST_PERIODS * heartbeat_s:
+            # An agent that was started again has no views: it must not lead beside the leader until the next ones are due.
+            self._again = False
+        elif said == self._viewed:
             if since_s < (heartbeat_s if self._again else VIEW_HEARTBEATS * heartbeat_s):
                 return
             self._again = False
@@ -132,7 +136,7 @@ class SwarmReporter(Reporter):
             return
         else:
             self._again = True
-        self._viewed, self._view_at = said, now
+        self._viewed, self._view_at, self._restarts = said, now, restarts
         self._sequence = (self._sequence + 1) % 256
         payload = tunnel.encode(PeerView(self._sequence, fact.gcs, autopilot, radio, seen))
         for link in fact.links:

@@ -13,7 +13,7 @@ from phm.setup.answers import NO_MAVLINK, Answers
 from phm.setup.machine import Application, Machine
 from phm.setup.ros_settings import APPLICATION_PROFILE, ros_settings
 from phm.setup.yaml_text import compose_quoted, quoted
-from phm.transport.own_network import HOST_NAME
+from phm.transport.own_network import HOST_NAME, listens_only_inside
 
 CONFIGURATION, COMPOSE, ENVIRONMENT, PROFILE = "phm.yaml", "compose.yaml", "agent.env", "fastdds.xml"
 OVERRIDE = "compose.override.yaml"
@@ -198,6 +198,8 @@ def _listening(url: str) -> list[str]:
     scheme, _, rest = url.partition(":")
     if scheme not in ("udpin", "tcpin"):
         return []
+    if listens_only_inside(url):
+        return [f"    # {url} listens only inside PHM's container: write 0.0.0.0 in place of the address in phm.yaml."]
     port = rest.rpartition(":")[2]
     published = compose_quoted(f"127.0.0.1:{port}:{port}/{scheme.removesuffix('in')}")
     return [

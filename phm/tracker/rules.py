@@ -113,8 +113,13 @@ def action_in_progress(context: RuleContext) -> Decision | None:
     if record.id == action.owner:
         summary = f"{record.target} is being restarted on request: {context.result.summary}"
         return Decision(replace(context.result, level=Level.STALE, summary=summary, brief="", condition=""))
-    separate = context.result.condition in FROM_OUTSIDE or certain_before(record, action)
-    return None if separate or _of_another_part(context, action) else _blocked(context, action.owner)
+    separate = (
+        context.result.condition in FROM_OUTSIDE
+        or certain_before(record, action)
+        or _stopped_meanwhile(context, action)
+        or _of_another_part(context, action)
+    )
+    return None if separate else _blocked(context, action.owner)
 
 
 def on_hold(context: RuleContext) -> Decision | None:
@@ -270,12 +275,17 @@ def in_grace(record: UnitRecord, now: float) -> bool:
 
 
 def certain_before(record: UnitRecord, action: ActionInProgress) -> bool:
-    """Whether the unit has been bad with certainty, in this run of its target, since before an action that leaves that running. Or since
-    later, if a process is stopped: no action stops one by a signal without ending it."""
+    """Whether the unit has been bad with certainty, in this run of its target, since before an action that leaves that running."""
     since = record.certain_since
-    if not action.leaves_running or since is None or since < record.valid_from:
-        return False
-    return since < action.begun or (record.latest is not None and record.latest.condition == STOPPED)
+    return action.leaves_running and since is not None and record.valid_from <= since < action.begun
+
+
+def _stopped_meanwhile(context: RuleContext, action: ActionInProgress) -> bool:
+    """Whether a process is stopped during an action that leaves it running: no action stops one by a signal without ending it."""
+    record = context.record
+    since = record.certain_since
+    stopped = action.leaves_running and context.result.condition == STOPPED
+    return stopped and since is not None and since >= record.valid_from
 
 
 def _of_another_part(context: RuleContext, action: ActionInProgress) -> bool:

@@ -523,7 +523,8 @@ class Tracker:
         if level is Level.ERROR:
             record.reported = True
             action = self._actions.get(record.target)
-            by = action.action if action is not None and action.needed and certain_before(record, action) else ""
+            credited = action is not None and action.needed and action.action != JOINS
+            by = action.action if action is not None and credited and certain_before(record, action) else ""
             self._faults.open(record, result, now, effects, by)
             self._withdraw_credit(record)
         if reworded or (level is Level.ERROR and before is not None and _basis(before.result) != _basis(result)):

@@ -35,7 +35,18 @@ def is_loopback(url: str) -> bool:
     """Whether frames of this endpoint stay within PHM's own network namespace. PHM waits for peers at `udpin` and `tcpin`."""
     scheme, _, rest = url.partition(":")
     host = rest.rpartition(":")[0].strip("[]").lower()
-    return scheme in ("udpout", "tcp") and (host in ("localhost", "::1") or host.startswith("127."))
+    return scheme in ("udpout", "tcp") and _is_own(host)
+
+
+def listens_only_inside(url: str) -> bool:
+    """Whether PHM waits at loopback: what is sent to its container does not arrive there, through a published port neither."""
+    scheme, _, rest = url.partition(":")
+    host = rest.rpartition(":")[0].strip("[]").lower()
+    return scheme in ("udpin", "tcpin") and _is_own(host)
+
+
+def _is_own(host: str) -> bool:
+    return host in ("localhost", "::1") or host.startswith("127.")
 
 
 def gateway(routes: str = _ROUTES) -> str:

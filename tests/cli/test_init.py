@@ -195,8 +195,9 @@ def test_the_engine_is_that_of_docker(fake: FakeEngine, tmp_path: Path, monkeypa
     done = CliRunner().invoke(group, ["init", str(tmp_path / "phm"), "--yes", "--no-ros"])
     assert done.exit_code == 0, done.output
     assert f"{fake.path}:/var/run/docker.sock" in (tmp_path / "phm" / "compose.yaml").read_text()
-    monkeypatch.setenv("DOCKER_HOST", "ssh://pi@drone1")
-    assert _engine() == SOCKET
+    for unreachable in ("ssh://pi@drone1", "tcp://127.0.0.1:2375", "tcp://localhost:2375", "tcp://[::1]:2375"):
+        monkeypatch.setenv("DOCKER_HOST", unreachable)
+        assert _engine() == SOCKET
 
 
 def test_a_user_who_may_not_open_the_socket_learns_what_to_do(

@@ -48,6 +48,7 @@ ELSEWHERE = {
     "MAV.doCommand(5, 193, MAVLink.MAV_CMD.USER_1, 2, 17, 0, 0, 0, 0, 0)": "code of Mission Planner",
     "Authorization: Bearer TOKEN": "a header of HTTP",
     "403 METHOD PATH": "the log of HAProxy",
+    "(phm_actions_total unless phm_actions_total offset 1h) or increase(phm_actions_total[1h])": "a query of Prometheus",
 }
 """What is in backticks without being a message, with its reason."""
 AROUND = re.compile(r"^(?:SRC=1/193:|\[mavlink: component 193\] |193 : )")

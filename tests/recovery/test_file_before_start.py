@@ -27,14 +27,16 @@ def start() -> Iterator[Start]:
         actions, ladders = ("start", "restart", "restore_file"), {"exited": ["start", "restart"]}
         agent = Agent(UNITS, Containers("app"), FakeClock(), actions=actions, ladders=ladders)
         made.append(agent)
+        missing = {"files/app"}
 
         def act(key: str, context: ActionContext, fault: Fault) -> None:
-            if fault.unit == "files/app":
+            if fault.unit in missing:
+                missing.clear()
                 del agent.bad["files/app"]
                 return
             agent.containers.start(key)
             agent.pipeline.container_started(key)
-            if "files/app" in agent.bad:
+            if missing:
                 agent.containers.end(key)
             else:
                 del agent.bad["container/app"]

@@ -81,7 +81,9 @@ def test_other_actions_hide_it(action: str) -> None:
     assert bench.opened == ["network/app"] and bench.blocked_by("nodes/a") == "network/app"
 
 
-@pytest.mark.parametrize(("action", "opened"), [("relaunch", ["nodes/b"]), ("restore_file", ["nodes/b"]), ("restart", [])])
+@pytest.mark.parametrize(
+    ("action", "opened"), [("relaunch", ["nodes/b"]), ("restore_file", ["nodes/b"]), ("restart", [])]
+)
 def test_a_relaunch_does_not_explain_the_end_of_another_node(action: str, opened: list[str]) -> None:
     """It ends no process. A topic of the node that it starts again, and what is not certain, still follows from it."""
     bench = Bench(

@@ -31,11 +31,12 @@ _TRANSPORT = f"""<transport_descriptors><transport_descriptor>
 """
 _USE_TRANSPORT = """
 <userTransports><transport_id>udp</transport_id></userTransports><useBuiltinTransports>false</useBuiltinTransports>"""
-LEASE_S = 40
-"""How long other participants keep PHM's after its last announcement: longer than the supervisor bears a child that gets no CPU, and
-than Fast DDS's 20 s. A node that drops PHM while PHM keeps the node sends PHM nothing any more (`unreceived_nodes`); in the opposite
-case PHM lacks names, and looks again with a new participant. Nodes keep the readers of a killed child for so long. These are best
-effort, but for latched topics, and block no publisher that keeps a limited number of messages."""
+LEASE_S = 20
+"""How long other participants keep PHM's after its last announcement: Fast DDS's own. A node with a longer lease than PHM's that is
+stopped for a time between both drops PHM while PHM keeps the node, and sends PHM nothing any more (`unreceived_nodes`). A node with a
+shorter lease, as in config/fastdds.xml, keeps PHM while PHM drops it; then PHM lacks its names and looks again with a new participant
+(`unnamed_participants`). Nodes keep the readers of a killed child for so long. These are best effort, but for latched topics, and
+block no publisher that keeps a limited number of messages."""
 PEERS_MOST_S = 3
 """Seconds between two announcements: one for each static peer, so that all together get MAX_PEERS packets a second over a radio, but at
 most as many as Fast DDS itself waits. More peers get more packets."""
@@ -124,9 +125,7 @@ def profile(environ: MutableMapping[str, str]) -> str:
             environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
             environ.pop("ROS_STATIC_PEERS", None)
             environ.pop("ROS_LOCALHOST_ONLY", None)
-    return _PROFILE.format(
-        transport=transport, use=use, lease_s=LEASE_S, announcements=announcements, peers=listed
-    )
+    return _PROFILE.format(transport=transport, use=use, lease_s=LEASE_S, announcements=announcements, peers=listed)
 
 
 def _static_peers(environ: Mapping[str, str]) -> list[str]:

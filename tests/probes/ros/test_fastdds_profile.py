@@ -10,7 +10,6 @@ import pytest
 from phm.probes.ros import fastdds_profile
 from phm.probes.ros.fastdds_profile import MAX_PEERS, adapt, profile, remove
 from phm.probes.ros.sandbox import OWN_PROFILE, PROFILE_VARIABLES
-from phm.probes.ros.supervisor import SupervisorLimits
 
 UDP = {"FASTDDS_BUILTIN_TRANSPORTS": "UDPv4"}
 LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
@@ -76,10 +75,9 @@ def test_without_static_peers_it_announces_often(variables: dict[str, str]) -> N
     assert seconds(ET.fromstring(profile({**UDP, **variables})), "leaseAnnouncement") == 0.25
 
 
-def test_the_lease_outlasts_a_starved_child() -> None:
+def test_the_lease_is_that_of_a_node_without_a_profile() -> None:
     """A node that drops PHM's participant while PHM keeps the node sends nothing to it any more."""
-    limits = SupervisorLimits()
-    assert seconds(ET.fromstring(profile(dict(UDP))), "leaseDuration") >= limits.silent_s + limits.starved_s
+    assert seconds(ET.fromstring(profile(dict(UDP))), "leaseDuration") == 20.0
 
 
 def test_transports_of_the_users_own_stay() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 FLOOR_S = 1.0
@@ -80,8 +81,10 @@ class SilenceTimeout:
         self._seen = 0
         self._began_s: float | None = None
         self._limit_s = most_s
-        self._lost = WindowedMax(max(LOST_S, HORIZON * period_s))
+        self._remembered_s = max(LOST_S, HORIZON * period_s)
+        self._lost = WindowedMax(self._remembered_s)
         """Limits by pauses in which messages were only lost on the way."""
+        self._disproved_s = -math.inf
 
     @property
     def limit_s(self) -> float:
@@ -105,5 +108,8 @@ class SilenceTimeout:
             self._limit_s = min(self.most_s, max(self._least_s, longest_s + margin_s))
 
     def disproved(self, pause_s: float, now_s: float) -> None:
-        """Record a silence that was none: its messages were published, and lost on the way to PHM. The next ones may be, too."""
-        self._lost.add(min(LOST * pause_s, max(LOST_MOST_S, LOST * self.most_s)), now_s)
+        """Record a silence that was none: its messages were published, and lost on the way to PHM. The next ones may be, too, if these
+        were not the first within the time that is remembered: those may have been an interruption of the network."""
+        before_s, self._disproved_s = self._disproved_s, now_s
+        if now_s - before_s <= self._remembered_s:
+            self._lost.add(min(LOST * pause_s, max(LOST_MOST_S, LOST * self.most_s)), now_s)
