@@ -38,9 +38,9 @@ logger = logging.getLogger(__name__)
 POLL_S = 0.05
 ANY_TIME = float("-inf")
 RETRY_S = 0.5
+"""How often PHM checks again a target on which another attempt acts, and a fault that a new run must confirm."""
 FILE_FAULT_S = 1.5
 """After the end of an action, a fault of the files that was hidden by it is reported within this time."""
-"""How often PHM checks again a target on which another attempt acts, and a fault that a new run must confirm."""
 INTERRUPTED_S = 20.0
 """A target whose action was interrupted is held this long, beyond the unit's grace, unless it recovers before."""
 MISSING_S = 1.0
