@@ -187,3 +187,12 @@ def test_a_process_that_is_stopped_does_not_follow_from_a_reconnection() -> None
     bench.take(bench.tracker.expect_stop("app", bench.stamp(), 10.0))
     bench.look(stopped)
     assert bench.opened == ["network/app"]
+
+
+def test_joining_a_network_is_not_credited_with_the_node() -> None:
+    """It connects PHM itself, and ends nothing that is wrong with the container."""
+    bench = Lost("join_network")
+    bench.look(gone(bench.died))
+    bench.look(OK, OK)
+    bench.end()
+    assert ("nodes/a", Outcome.RESOLVED, "itself") in bench.closed
