@@ -171,7 +171,9 @@ def _all_peers_lost(fact: api.SwarmFact) -> list[api.Result]:
         since = ", ".join(f"{_name(agent)} for {span(age_s)}" for age_s, agent in ages[:MOST])
         words = f"no heartbeat from any other agent, {since}: check the vehicle of {_name(ages[0][1])} first, then this agent's own link"
     else:
-        words = f"no heartbeat from any other agent, {_names(lost)} were lost together: check this agent's own link first"
+        words = (
+            f"no heartbeat from any other agent, {_names(lost)} were lost together: check this agent's own link first"
+        )
     return [api.error(words, brief=brief("all peers", "lost"), condition="all_peers_lost")]
 
 

@@ -15,7 +15,7 @@ from phm.transport.own_network import HOST_NAME, is_loopback, is_private, listen
 from phm.transport.serial_errors import place
 from phm.wire import status_file
 
-_ADD_HOST = f"add `extra_hosts: [\"{HOST_NAME}:host-gateway\"]` to PHM's service, or with host networking use 127.0.0.1"
+_ADD_HOST = f'add `extra_hosts: ["{HOST_NAME}:host-gateway"]` to PHM\'s service, or with host networking use 127.0.0.1'
 
 
 def rows(context: DoctorContext) -> Iterator[Row]:

@@ -235,7 +235,9 @@ class Agent:
         until(self._is_idle, "all threads to be idle", poll_s=0.0002)
 
     def _is_idle(self) -> bool:
-        return self.clock.sleepers >= len(self.bus._subscriptions) + len(self.executor._workers) + len(self._at_work)
+        with self.executor._lock:  # a worker that is being made is not in the list, but its thread may sleep already
+            workers = len(self.executor._workers)
+        return self.clock.sleepers >= len(self.bus._subscriptions) + workers + len(self._at_work)
 
     def pause(self, until: Callable[[], object]) -> None:
         """For actions: let some time pass, and more until `until` is true."""
