@@ -57,16 +57,25 @@ def test_an_endpoint_that_does_not_leave_the_container_is_a_warning(
 
 
 @pytest.mark.parametrize("private", [True, False])
+@pytest.mark.parametrize(
+    ("url", "reach"),
+    [
+        (
+            "udpin:0.0.0.0:14551",
+            "can be reached only by containers on PHM's networks, unless `ports:` of its Compose file publishes it",
+        ),
+        ("udpin:127.0.0.1:14551", "listens only inside PHM's container: write 0.0.0.0 in place of the address"),
+    ],
+)
 def test_an_endpoint_that_waits_for_peers_in_a_container_is_a_warning(
-    private: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    url: str, reach: str, *, private: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """PHM sends nothing there before a peer has reached it. No error: a router may be in a container beside it."""
     monkeypatch.setattr("phm.transport.own_network.is_private", lambda: private)
     file = tmp_path / "phm.yaml"
-    file.write_text(json.dumps({"agent": {"id": 1}, "mavlink": {"endpoints": [{"url": "udpin:0.0.0.0:14551"}]}}))
+    file.write_text(json.dumps({"agent": {"id": 1}, "mavlink": {"endpoints": [{"url": url}]}}))
     done = CliRunner().invoke(group, ["validate", str(file), "--json"])
-    reach = "can be reached only by containers on PHM's networks, unless `ports:` of its Compose file publishes it"
-    expected = [f"{file}: mavlink.endpoints: udpin:0.0.0.0:14551 {reach}"] if private else []
+    expected = [f"{file}: mavlink.endpoints: {url} {reach}"] if private else []
     assert (done.exit_code, json.loads(done.stdout)["warnings"]) == (0, expected)
 
 

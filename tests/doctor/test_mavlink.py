@@ -46,13 +46,15 @@ def test_who_reaches_a_waiting_endpoint_of_a_bridged_container_is_said(
     """Without a defect: a router may be in a container beside it. On the host's network any program reaches it."""
     monkeypatch.setattr(mavlink, "is_private", lambda: True)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-        free.bind(("127.0.0.1", 0))
-        url = f"udpin:127.0.0.1:{free.getsockname()[1]}"
-    inside, there = judged(tmp_path, url)
+        free.bind(("0.0.0.0", 0))
+        port = free.getsockname()[1]
+    inside, there = judged(tmp_path, f"udpin:0.0.0.0:{port}")
+    alone, _ = judged(tmp_path, f"udpin:127.0.0.1:{port}")
     monkeypatch.setattr(mavlink, "is_private", lambda: False)
     (outside,) = rows(there)
     assert (inside.state, outside.state) == ("ok", "ok")
     assert "`ports:` of its Compose file" in inside.text and "Compose" not in outside.text
+    assert alone.state == "limited" and alone.remedy == f"write udpin:0.0.0.0:{port}"
 
 
 @pytest.mark.parametrize(

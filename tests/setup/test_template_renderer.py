@@ -121,6 +121,8 @@ def test_the_port_of_an_endpoint_that_waits_for_peers_is_published(mavlink: str,
     assert service(made(application("app"), mavlink=mavlink))["ports"] == [f"127.0.0.1:{port}"]
     assert "ports" not in service(made(application("app"), mavlink=mavlink, network="host"))
     assert "ports" not in service(made(application("app"), mavlink="udpout:10.0.0.5:14550"))
+    inside = made(application("app"), mavlink=mavlink.replace("0.0.0.0", "127.0.0.1"))
+    assert "ports" not in service(inside) and "listens only inside PHM's container" in inside["compose.yaml"]
 
 
 def test_a_path_with_colons_is_mapped_in_the_long_form() -> None:

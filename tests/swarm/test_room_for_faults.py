@@ -149,3 +149,18 @@ def test_a_text_that_changes_each_second_leaves_room_for_everything_else(agents:
 
 def view() -> object:
     return mavlink.MAVLink_tunnel_message(0, 0, tunnel.PAYLOAD_TYPE, 0, [0] * 128)
+
+
+@pytest.mark.long
+def test_an_agent_whose_phm_restarts_again_and_again_leaves_room_for_the_others() -> None:
+    """Each restart asks all others for their views, but not more often than they have room for."""
+    fleet = Fleet(30, step_s=1.0)
+    fleet.run(180)
+    before = fleet.agents[6].port.sent_keys["view"]
+    reporter = fleet.agents[5].reporters[0]
+    for _ in range(30):
+        refresh_at, reporter._refresh_at = reporter._refresh_at, None  # type: ignore[union-attr]  # it says BOOT
+        fleet.run(5)
+        reporter._refresh_at = refresh_at  # type: ignore[union-attr]
+        fleet.run(15)
+    assert fleet.agents[6].port.sent_keys["view"] - before < 30

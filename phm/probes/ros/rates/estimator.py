@@ -126,8 +126,6 @@ class RateEstimator:
         self._quiet_s = 0.0
         self._paused_s = 0.0
         self._held: tuple[float, float] | None = None
-        self._held_from: float | None = None
-        """Since when the rate is kept because samples are overwritten."""
         self._restarts = PublisherRestarts(expected_hz)
         self._samples = 0
         self._uneven = False
@@ -139,9 +137,7 @@ class RateEstimator:
         self._slow_s = SLOW * gone_after_s(self._mean_hz(listening)) + listening.closed_s
         if samples:
             if samples[0].sequence is None and not listening.complete and passed_s > LATE_S:
-                self._overwritten(now_s)
-            elif self.measured:
-                self._held_from = None
+                self.hold()  # while PHM did not run, samples were overwritten in the queue
             self._take(now_s, samples, listening)
         self._drop_gone(now_s, listening)
         self._restarts.settle(now_s, listening.closed_s, mixed=self.mixed(now_s))
@@ -188,13 +184,6 @@ class RateEstimator:
             track.forget()
 
     # ---- input
-
-    def _overwritten(self, now_s: float) -> None:
-        """While PHM did not run, samples were overwritten in the queue: keep the rate, but it is unknown if that goes on."""
-        self._held_from = now_s if self._held_from is None else self._held_from
-        self.hold()
-        if now_s - self._held_from > WIDE_MOST_S:
-            self.forget()
 
     def _listen(self, now_s: float, samples: Sequence[Sample], listening: Listening) -> float:
         """Count the time without a sample in which one would have been received. Returns the time since the last poll."""

@@ -65,6 +65,14 @@ def test_a_rate_is_kept_while_samples_are_overwritten() -> None:
     assert feed(meter, late, 130.0, 160.0, depth=10, tick_s=1.5).hz == pytest.approx(10.0, rel=0.01)
 
 
+def test_a_slower_publisher_is_seen_while_samples_are_overwritten() -> None:
+    """The samples that are left in one queue are enough."""
+    meter = RateEstimator(10.0, 3.0)
+    feed(meter, even(10.0, 100.0, 30.0, numbered=False), 100.0, 130.0, depth=10)
+    slower = even(6.0, 130.0, 60.0, numbered=False)
+    assert feed(meter, slower, 130.0, 180.0, depth=10, tick_s=5.0).hz == pytest.approx(6.0, rel=0.01)
+
+
 def test_two_samples_close_together_give_no_rate() -> None:
     """With less than one second of publication time the rate is unknown, not wrong."""
     fact = one(10.0, 0.5)
