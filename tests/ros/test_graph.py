@@ -155,24 +155,6 @@ def test_a_stopped_node_is_listed_and_silent(bench: Bench) -> None:
     seen(probe, lambda fact: rate_of(fact).hz, "a rate again")
 
 
-STOPPED_S = 8.0
-
-
-def test_a_node_without_a_beacon_that_was_stopped_is_received_again(bench: Bench, tmp_path: Path) -> None:
-    """With the default lease of 20 s, PHM keeps a node that got no CPU for some seconds, and the node must keep PHM: otherwise it sends
-    nothing to PHM any more. Without a beacon nothing shows that, so PHM would not look again with a new participant.
-    """
-    node = bench.script("ros_source.py", "10", str(tmp_path / "sent"))
-    probe = bench.probe([{"name": TOPIC, "rate": 10}])
-    seen(probe, lambda fact: rate_of(fact).hz, "a rate")
-    child, notes = probe.pid, list(bench.notes)
-    node.send_signal(signal.SIGSTOP)
-    seen(probe, lambda fact: (rate_of(fact).silent_s or 0.0) > STOPPED_S, "its silence")
-    node.send_signal(signal.SIGCONT)
-    seen(probe, lambda fact: (rate_of(fact).silent_s or 0.0) < 1.0, "its messages again", limit_s=30.0)
-    assert probe.pid == child and bench.notes == notes
-
-
 @pytest.mark.one_distribution
 def test_an_unknown_type_is_reported_without_a_crash(bench: Bench) -> None:
     """A topic whose type is not available has publishers, no rate, and a reason."""
