@@ -23,8 +23,8 @@ FRESH_S, FRESH_PERIODS = 0.5, 0.1
 LINK_S = 60.0
 """A link without a frame from another agent for this long leads to no agent."""
 GROUND_PERIODS = 2.5
-"""Where a ground station has appeared, the leader and the agents that do not receive it are known after so many periods, at least
-VIEWS_S. A view that was lost is sent again a period later."""
+"""Where a ground station has appeared, agents that do not receive it are known after so many periods, at least VIEWS_S. A view that
+was lost is sent again a period later. An agent that was started now knows the others after this time."""
 
 
 class SwarmMonitor:
@@ -107,7 +107,9 @@ class SwarmMonitor:
             self._peers.watch(now, period_s, receives=receives)
             agreed = compute_consensus(self._peers, now)
             views_s = max(VIEWS_S, GROUND_PERIODS * period_s)
-            leader = self._election.leader(agreed, gcs and not self._awaits_views(agreed, now, period_s), now, views_s)
+            # An agent that was started now must first receive the others; later they are known, and a leader is needed soon.
+            known_s = views_s if now - self._began < views_s else VIEWS_S
+            leader = self._election.leader(agreed, gcs and not self._awaits_views(agreed, now, period_s), now, known_s)
             no_gcs = self._without_ground(agreed, gcs, now, views_s)
             duplicate_ids, unlisted = self._peers.duplicate_ids(now), self._peers.unlisted(now)
             recent = [name for name, at in self._links.items() if now - at <= LINK_S]

@@ -44,7 +44,7 @@ def start() -> Iterator[Start]:
         agent.clock.advance(1000)
 
 
-def lose(agent: Agent, action: str, back: bool) -> None:
+def lose(agent: Agent, action: str, *, back: bool) -> None:
     """A node dies. While it is recovered, PHM loses the network and sees nothing of the node, until it joins again. back: whether the node
     is back then."""
 

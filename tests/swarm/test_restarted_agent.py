@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from phm.swarm.consensus import MemberState
 from phm.swarm.peers import LOST_PERIODS, Peers
 from phm.wire.tunnel import PeerState, PeerView
@@ -66,3 +68,18 @@ def test_an_agent_that_was_started_now_has_no_vote_on_those_it_has_not_received_
     swarm.peers[4] = Peers(4, PERIOD_S, swarm.agents)
     swarm.run(LOST_PERIODS * PERIOD_S + 2 * PERIOD_S)
     assert {swarm.agreed(agent).statuses[3].state for agent in (1, 2, 4)} == {MemberState.LOST}
+
+
+@pytest.mark.long
+def test_a_restarted_agent_of_a_large_swarm_does_not_lead() -> None:
+    """Heartbeats come every 15 s, so the leader may be unknown to it for as long."""
+    fleet = Fleet(40, step_s=1.0)
+    for number, one in fleet.agents.items():
+        one.reporters[0]._heartbeat_at += 15 * ((number * 7) % 40) / 40  # type: ignore[union-attr]
+    fleet.run(120)
+    agent = fleet.agents[2] = Agent(2, fleet.clock, list(fleet.agents), 158.0)
+    leaders = set()
+    for _ in range(60):
+        fleet.run(1)
+        leaders.add(agent.probe.snapshot().leader)
+    assert leaders <= {None, 1}
