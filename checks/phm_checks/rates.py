@@ -10,10 +10,10 @@ from phm.api import Layer, Level, Slot
 from phm_checks._environment_advice import advice
 from phm_checks._limit_forecast import LimitForecast
 from phm_checks._node_activity import FRESH_S, ran_s, turned_s
-from phm_checks._quorum import ReceivedBefore
 from phm_checks._ros_facts import full_name, is_large
 from phm_checks._text import StableNumber, brief, clean, last, span
-from phm_checks._witnesses import WITNESSES, Arrivals, Causes, expected, independent
+from phm_checks._unreceived_topics import UnreceivedTopics, publishers_of
+from phm_checks._witnesses import Arrivals
 
 CONFIRM_S = 0.9
 """A rate must be wrong in two measurements, made once a second, before it is reported."""
@@ -84,11 +84,11 @@ class Rates(api.Check):
         arrivals: Mapping[str, Arrivals],
     ) -> None:
         """arrivals: by container."""
-        self._arrivals = dict(arrivals)
         self._topics = tuple(topics)
         self._units = tuple(units)
         self._targets = {unit.id: unit.target for unit in units}
-        self._received = ReceivedBefore({topic.name: self._targets[_unit(topic)] for topic in topics})
+        targets = {topic.name: self._targets[_unit(topic)] for topic in topics}
+        self._unreceived = UnreceivedTopics(topics, targets, grace_s, arrivals)
         self._grace_s = grace_s
         self._memory = {
             topic.name: _Memory(widening=LimitForecast(trends.jitter, trends.confidence)) for topic in topics
@@ -127,8 +127,7 @@ class Rates(api.Check):
             fact = world.ros.snapshot()
         except api.CannotTell as reason:
             return {_unit(topic): api.stale(str(reason)) for topic in self._topics}
-        flowing = {name for name, seen in fact.topics.items() if _flows(seen)}
-        self._received.observe(world, (one.name for one in self._topics if full_name(one.name) in flowing))
+        self._unreceived.observe(world, fact)
         results = {}
         for topic in self._topics:
             seen = fact.topics.get(full_name(topic.name), api.TopicFact())
@@ -167,7 +166,7 @@ class Rates(api.Check):
         self, case: _Case, silent_s: float, seen: api.TopicFact, fact: api.RosFact, memory: _Memory, now: float
     ) -> api.Result:
         assert seen.rate is not None
-        reports = [fact.received_only_elsewhere(node) for node in _nodes(seen)]
+        reports = [fact.received_only_elsewhere(node) for node in publishers_of(seen)]
         if reports and all(reports):
             return api.stale(
                 f"{case.name} is silent here, and so is its node, which other nodes receive: PHM's own participant may have lost it",
@@ -191,7 +190,7 @@ class Rates(api.Check):
             f"{case.name}: offline. Silent for {span(silent_s)}, expected {case.rate:g} Hz{limit}: {why}{_lost(seen)}; check that node's log",
             case,
         )
-        ran = turns and all(ran_s(node, fact, now) <= due_s - RAN_S for node in _nodes(seen))
+        ran = turns and all(ran_s(node, fact, now) <= due_s - RAN_S for node in publishers_of(seen))
         # A publisher that has just been discovered again may have sent what PHM's reader was not connected for.
         connected = min(now - memory.listed_from, fact.up_s) >= due_s
         result = result.with_evidence(api.Evidence(conclusive=ran and connected and _inputs_flow(seen, fact)))
@@ -230,12 +229,12 @@ class Rates(api.Check):
 
     def _never(self, case: _Case, seen: api.TopicFact, fact: api.RosFact, world: api.World) -> api.Result:
         """A topic that is listed but was never received. Slow topics get three periods."""
-        if not self._due(case.topic, fact):
+        if not self._unreceived.due(case.topic, fact):
             return api.stale(
                 f"no sample of {case.name} yet; PHM has listened for only {span(fact.listened_for_s)}",
                 values=case.values,
             )
-        if evidence := self._blocked(case.target, seen, fact):
+        if evidence := self._unreceived.blocked(case.target, seen, fact):
             return self._bad(
                 Level.ERROR,
                 "transport_blocked",
@@ -244,7 +243,7 @@ class Rates(api.Check):
                 f"({advice(world, case.target, _BLOCKS, data_only=True)}); a restart of the application does not help",
                 case,
             ).with_evidence(api.Evidence(patient=True))
-        if self._fell_silent(case, seen, fact):
+        if self._unreceived.fell_silent(case.topic, seen, fact):
             return self._bad(
                 Level.ERROR,
                 "topic_silent",
@@ -261,45 +260,6 @@ class Rates(api.Check):
             f"not publish, or the transport is blocked ({_BLOCKS}){_lost(seen)}",
             case,
         )
-
-    def _fell_silent(self, case: _Case, seen: api.TopicFact, fact: api.RosFact) -> bool:
-        """Whether the topic was received in this run of its container by an earlier ROS process of PHM, and the present one, which has waited
-        long enough by itself, receives its nodes: then the transport works."""
-        waited = fact.up_s >= self._grace_s + 3 / case.rate
-        nodes = _nodes(seen)
-        arrive = bool(nodes) and all(_arrives(node, fact) for node in nodes)
-        return waited and arrive and self._received.never(case.topic.name) is False
-
-    def _due(self, topic: api.TopicSettings, fact: api.RosFact) -> bool:
-        """Whether PHM has listened long enough to have received a sample."""
-        return bool(topic.rate) and fact.up_s >= self._grace_s and fact.listened_for_s >= 3 / (topic.rate or 1.0)
-
-    def _blocked(self, target: str, seen: api.TopicFact, fact: api.RosFact) -> str:
-        """Evidence that publishers are discovered but their data do not arrive; empty when the cause may be different."""
-        nodes = _nodes(seen)
-        received = any(one.rate is not None and one.rate.silent_s is not None for one in fact.topics.values())
-        if nodes == {""} and not fact.nodes and not received:
-            # Node names arrive as data, publishers are found by discovery. Where other data arrive, it is a program without a ROS node.
-            return "A publisher is discovered, but neither its node name nor a sample was received"
-        silent = self._silent_nodes(target, fact)
-        causes = Causes(fact)
-        if not silent & nodes or independent(map(causes.of, silent)) < WITNESSES:
-            return ""
-        return f"{len(silent)} nodes are discovered, but no sample from any of them was received"
-
-    def _silent_nodes(self, target: str, fact: api.RosFact) -> set[str]:
-        """The nodes of this container whose samples are due, if none of them was received; else the empty set."""
-        nodes: set[str] = set()
-        for topic in self._topics:
-            seen = fact.topics.get(full_name(topic.name), api.TopicFact())
-            if self._targets[_unit(topic)] != target:
-                continue
-            if seen.rate is not None and seen.rate.silent_s is not None:
-                return set()
-            if self._due(topic, fact):
-                nodes |= {node for node in _nodes(seen) if expected(node, fact)}
-        received = nodes & fact.beacons.keys() or self._arrivals[target].newest_s(fact, nodes) < float("inf")
-        return set() if received else nodes
 
     def _rate(
         self, case: _Case, hz: float, seen: api.TopicFact, fact: api.RosFact, memory: _Memory, now: float
@@ -356,9 +316,9 @@ class Rates(api.Check):
         """Whether the rate has certainly changed: each measurement shows it, and the machine is not slow in general."""
         if seen.rate is None or seen.rate.changed_s is None:
             return False
-        nodes = _nodes(seen)
+        nodes = publishers_of(seen)
         topics = (fact.topics.get(full_name(topic.name), api.TopicFact()) for topic in self._topics)
-        others = (topic.rate for topic in topics if topic.rate is not None and nodes.isdisjoint(_nodes(topic)))
+        others = (topic.rate for topic in topics if topic.rate is not None and nodes.isdisjoint(publishers_of(topic)))
         if any(other.changed_s is not None or other.hz == 0.0 for other in others):
             return False
         beacons = (fact.beacons[node] for node in nodes if node in fact.beacons)
@@ -408,13 +368,13 @@ def _all_turned(seen: api.TopicFact, fact: api.RosFact, due_s: float) -> bool:
 
     Each publisher's node must be listed exactly once.
     """
-    nodes = _nodes(seen)
+    nodes = publishers_of(seen)
     return bool(nodes) and all(fact.nodes.get(node) == 1 and turned_s(node, fact) <= due_s for node in nodes)
 
 
 def _inputs_flow(seen: api.TopicFact, fact: api.RosFact) -> bool:
     """Whether data arrives on all configured topics to which the publishers subscribe: a node may publish once per input."""
-    publishers = _nodes(seen)
+    publishers = publishers_of(seen)
     inputs = (topic for topic in fact.topics.values() if topic is not seen)
     needed = (topic for topic in inputs if any(end.node in publishers for end in topic.subscribers))
     return all(topic.rate is not None and bool(topic.rate.hz) for topic in needed)
@@ -425,24 +385,6 @@ def _lost(seen: api.TopicFact) -> str:
     size = None if seen.rate is None else seen.rate.sample_bytes
     large = any(end.type in _LARGE_TYPES for end in seen.publishers) if size is None else size > PACKET_BYTES
     return _LOST if large else ""
-
-
-def _flows(seen: api.TopicFact) -> bool:
-    """Whether its samples are received, and it is not silent."""
-    rate = seen.rate
-    return rate is not None and not rate.problem and rate.silent_s is not None and rate.hz != 0.0
-
-
-def _arrives(node: str, fact: api.RosFact) -> bool:
-    """Whether PHM's ROS process has received a beacon or a topic of the node, and no other node has received it since."""
-    if not node or fact.received_only_elsewhere(node):
-        return False
-    topics = (topic for topic in fact.topics.values() if _nodes(topic) == {node})
-    return node in fact.beacons or any(one.rate is not None and one.rate.silent_s is not None for one in topics)
-
-
-def _nodes(seen: api.TopicFact) -> set[str]:
-    return {end.node for end in seen.publishers}
 
 
 def _limit_s(topic: api.TopicSettings, silence_s: float) -> float:
