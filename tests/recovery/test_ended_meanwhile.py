@@ -49,15 +49,26 @@ def test_a_container_that_exits_during_a_verification_is_started_soon(agent: Age
     assert failed.detail == "restart app did not recover container/app"
 
 
+NETWORKED = {
+    "container/app": Of("app"),
+    "network/app": Of("app", ("container/app",), grace_s=3.0),
+    "nodes/app": Of("app", ("container/app", "network/app"), grace_s=8.0),
+}
+
+
+def end_application(agent: Agent) -> None:
+    """After some time without a fault; what needs the container is not known any more."""
+    agent.rest(12.0)
+    agent.containers.end("app")
+    agent.pipeline.container_ended("app")
+    agent.bad["container/app"] = "exited"
+    agent.found |= {"network/app": stale("not running"), "nodes/app": stale("not running")}
+
+
 def test_a_container_that_starts_without_its_network_is_reconnected_and_not_restarted() -> None:
     """It runs, so its start has worked; only the network explains that its nodes are lost."""
-    units = {
-        "container/app": Of("app"),
-        "network/app": Of("app", ("container/app",), grace_s=3.0),
-        "nodes/app": Of("app", ("container/app", "network/app"), grace_s=8.0),
-    }
     ladders = {"exited": ["start", "restart"], "disconnected": ["reconnect", "restart"], "node_missing": ["restart"]}
-    agent = Agent(units, Containers("app"), FakeClock(), actions=("start", "restart", "reconnect"), ladders=ladders)
+    agent = Agent(NETWORKED, Containers("app"), FakeClock(), actions=("start", "restart", "reconnect"), ladders=ladders)
     detached = error("not on net", brief="not on net", condition="disconnected", target="app")
 
     def act(key: str, context: ActionContext, fault: Fault) -> None:
@@ -70,11 +81,7 @@ def test_a_container_that_starts_without_its_network_is_reconnected_and_not_rest
             agent.bad["nodes/app"] = "node_missing"
 
     agent.behave = act
-    agent.rest(12.0)
-    agent.containers.end("app")
-    agent.pipeline.container_ended("app")
-    agent.bad["container/app"] = "exited"
-    agent.found |= {"network/app": stale("not running"), "nodes/app": stale("not running")}
+    end_application(agent)
     agent.rest(10.0)
     assert agent.opened() == ["container/app", "network/app"]
     assert agent.acted() == ["start", "reconnect"]
@@ -118,13 +125,9 @@ def test_a_start_is_not_followed_by_a_restart_because_another_container_is_down(
 
 def test_a_container_that_starts_while_phm_is_off_its_network_is_not_restarted() -> None:
     """PHM was disconnected while the container was down. The start has worked, and PHM joins the network as soon as that is known."""
-    units = {
-        "container/app": Of("app"),
-        "network/app": Of("app", ("container/app",), grace_s=3.0),
-        "nodes/app": Of("app", ("container/app", "network/app"), grace_s=8.0),
-    }
     ladders = {"exited": ["start", "restart"]}
-    agent = Agent(units, Containers("app"), FakeClock(), actions=("start", "restart", "join_network"), ladders=ladders)
+    actions = ("start", "restart", "join_network")
+    agent = Agent(NETWORKED, Containers("app"), FakeClock(), actions=actions, ladders=ladders)
 
     def act(key: str, context: ActionContext, fault: Fault) -> None:
         agent.bad.clear()
@@ -135,11 +138,7 @@ def test_a_container_that_starts_while_phm_is_off_its_network_is_not_restarted()
             agent.bad["network/app"], agent.found["nodes/app"] = "sidecar_disconnected", stale("not seen")
 
     agent.behave = act
-    agent.rest(12.0)
-    agent.containers.end("app")
-    agent.pipeline.container_ended("app")
-    agent.bad["container/app"] = "exited"
-    agent.found |= {"network/app": stale("not running"), "nodes/app": stale("not running")}
+    end_application(agent)
     agent.rest(20.0)
     assert agent.opened() == ["container/app", "network/app"]
     assert agent.acted() == ["start", "join_network"]
